@@ -58,14 +58,14 @@ fn altitude_step() {
 
 /// 0 → 1 m in free flight: [Paternain] VIII-C overshot by a metre; ours by 0.2 m at most.
 fn take_off() {
-    let answer = paternain::take_off();
+    let answer = paternain::take_off(&|own| own);
     line("take_off_overshoot", Some(answer.overshoot), "m", 0.2, "truth; [Paternain] VIII-C: 1 m");
     line("take_off_final_error", Some(answer.final_error), "m", 0.05, "truth");
 }
 
 /// [Paternain] VIII-A: held at 20° for 0.4 s and let go; back in 0.4 s, at most 4° beyond.
 fn roll() {
-    let answer = paternain::roll();
+    let answer = paternain::roll(&|own| own);
     line("roll_held", Some(answer.from), "deg", 20.0, "truth");
     line("roll_rise", answer.rise_s, "s", 0.4, "truth; [Paternain] VIII-A");
     line("roll_overshoot", Some(answer.overshoot), "deg", 4.0, "truth; [Paternain] VIII-A");

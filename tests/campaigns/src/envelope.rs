@@ -12,11 +12,10 @@ use std::collections::HashMap;
 
 use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_experiment::draw::{parallel, percentile, worst};
+use plumbline_support::effort::Effort;
 use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly, fly_heaving, largest};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
-
-use crate::effort::Effort;
 
 /// A maximising sequence reaches at least this part of its bound …
 const REACHED: f64 = 0.9;

@@ -16,7 +16,6 @@ mod chaos_power;
 mod chaos_sensors;
 mod clinic;
 mod disk;
-mod effort;
 mod envelope;
 mod evaluate;
 mod figures;

@@ -1,10 +1,13 @@
 //! `cargo xtask reproduce paternain`: the three experiments of [Paternain] VIII on the simulator, with our default
-//! estimator and controller, beside what the paper reads off its Figures 8 to 10.
+//! estimator and controller, beside what the paper reads off its Figures 8 to 10; then take-offs with its own suite, of which
+//! `--flights N` flies so many of each row, `--quick` a tenth, `--seed-base N` others;
+//! `--only roll|yaw|take_off|own_suite` flies one part.
 
 pub mod take_offs;
 
 use std::process::ExitCode;
 
+use plumbline_support::effort::{Effort, Knows};
 use plumbline_support::headless::paternain::{Answer, roll, take_off, yaw};
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
@@ -25,7 +28,7 @@ struct Experiment {
     y: &'static str,
     /// Part of the curve that is drawn, s.
     window: (f64, f64),
-    fly: fn() -> Answer,
+    fly: fn(&dyn Fn(u64) -> u64) -> Answer,
     figures: &'static [Figure],
 }
 
@@ -80,13 +83,14 @@ const EXPERIMENTS: [Experiment; 3] = [
 ];
 
 pub fn run() -> ExitCode {
+    let effort = Effort::of_program(Knows { seed: 1, flights: Some([100, 10]), worlds: false, parts: true });
     let title = "Stability, orientation and take-off: [Paternain] VIII";
     let mut report = Report::open("reproduce", "paternain", title).unwrap();
     report.paragraph("Our default airframe, estimator and controller; figures are of the simulator's truth.");
     let mut rows = Vec::new();
-    for experiment in &EXPERIMENTS {
+    for experiment in EXPERIMENTS.iter().filter(|experiment| effort.wants(experiment.name)) {
         report.heading(experiment.title);
-        let answer = (experiment.fly)();
+        let answer = (experiment.fly)(&|own| effort.seed(own));
         let (from, to) = experiment.window;
         let part = |of: &dyn Fn(&(f64, f64, f64)) -> f64| {
             answer.curve.iter().filter(|p| (from..=to).contains(&p.0)).map(|p| (p.0, of(p))).collect::<Vec<_>>()
@@ -109,7 +113,10 @@ pub fn run() -> ExitCode {
             rows.push(vec![name, figure.unit.to_owned(), text(figure.paper), text(value), text(figure.limit)]);
         }
     }
-    take_offs::take_offs(&mut report, &mut rows);
+    if effort.wants("own_suite") {
+        take_offs::take_offs(&mut report, &mut rows, &effort);
+    }
+    effort.is_done();
     let headers = ["figure", "unit", "paper", "ours", "asked of us, at most"];
     report.table("figures", "The paper's figures and ours", &headers, &rows).unwrap();
     report.finish().unwrap();

@@ -7,11 +7,10 @@
 use plumbline_agent::envelope::theory::rotor_isolated;
 use plumbline_experiment::draw::{median, parallel, percentile, worst};
 use plumbline_experiment::summary::part;
+use plumbline_support::effort::Effort;
 use plumbline_support::rotors::{AFTER_S, Flown, How, RIGS, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
-
-use crate::effort::Effort;
 
 /// Worlds without a loss.
 const CLEAN: [&str; 2] = ["datasheet", "harsh"];

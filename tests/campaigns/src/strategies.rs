@@ -1,5 +1,6 @@
 //! `cargo xtask reproduce strategies`: the control chapter of [Strategies] with its mistakes put right, and every
-//! controller of the agent on the same flights.
+//! controller of the agent on the same flights. `--flights N` flies so many take-offs of each controller, `--quick` two,
+//! `--seed-base N` others.
 
 use nalgebra::{DMatrix, DVector, Vector3};
 use plumbline_agent::command::Command;
@@ -20,6 +21,7 @@ use plumbline_agent::model::rigid_body::{Input, State, derivative};
 use plumbline_agent::model::state_space::StateSpace;
 use plumbline_agent::types::{ControllerKind, EstimatorKind, ROTORS, Wrench};
 use plumbline_experiment::draw::parallel;
+use plumbline_support::effort::{Effort, Knows};
 use plumbline_support::headless::Headless;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
@@ -30,12 +32,13 @@ use crate::paternain::take_offs::{AIRBORNE_M, Flown, TakeOff};
 type Done<T> = Result<T, Box<dyn std::error::Error>>;
 
 pub fn run() -> Done<()> {
+    let effort = Effort::of_program(Knows { seed: 1, flights: Some([20, 2]), worlds: false, parts: false });
     let mut report =
         Report::open("reproduce", "strategies", "Control strategies: LQG, H-infinity, and all controllers in flight")?;
     lqg(&mut report)?;
     hinf(&mut report)?;
-    flights(&mut report)?;
-    telephone(&mut report)?;
+    flights(&mut report, &effort)?;
+    telephone(&mut report, &effort)?;
     report.finish()?;
     Ok(())
 }
@@ -323,8 +326,8 @@ struct Angle {
 }
 
 /// Held at an angle (roll, or the heading from where the vehicle held it) and let go.
-fn released(name: &str, kind: ControllerKind, heading: bool) -> Angle {
-    let mut flown = Headless::start_with(name, kind);
+fn released(effort: &Effort, name: &str, kind: ControllerKind, heading: bool) -> Angle {
+    let mut flown = Headless::start_seeded(name, kind, |own| effort.seed(own));
     let held = flown.scenario.script.pushes.iter().map(|push| push.at_s).fold(f64::INFINITY, f64::min);
     let released = flown.scenario.script.pushes.iter().map(|push| push.at_s + push.duration_s).fold(0.0, f64::max);
     let (mut curve, mut before) = (Vec::new(), 0.0);
@@ -347,8 +350,8 @@ fn released(name: &str, kind: ControllerKind, heading: bool) -> Angle {
 }
 
 /// Root mean square of the distance to the path, m, and the track.
-fn follow(name: &str, kind: ControllerKind) -> (f64, Vec<(f64, f64)>) {
-    let mut flown = Headless::start_with(name, kind);
+fn follow(effort: &Effort, name: &str, kind: ControllerKind) -> (f64, Vec<(f64, f64)>) {
+    let mut flown = Headless::start_seeded(name, kind, |own| effort.seed(own));
     let planned = flown.scenario.script.trajectories.remove(0);
     let mut start = None;
     let (mut sum, mut count, mut track) = (0.0, 0.0_f64, Vec::new());
@@ -376,7 +379,7 @@ fn follow(name: &str, kind: ControllerKind) -> (f64, Vec<(f64, f64)>) {
     ((sum / count.max(1.0)).sqrt(), track)
 }
 
-fn flights(report: &mut Report) -> Done<()> {
+fn flights(report: &mut Report, effort: &Effort) -> Done<()> {
     report.heading("Every controller in flight");
     report.paragraph(
         "The simulator with its sensors' noise, the agent's own estimator, motors' lag and delay. Every controller with its \
@@ -391,9 +394,9 @@ fn flights(report: &mut Report) -> Done<()> {
         [Plot::new("Circle", "x, m", "y, m"), Plot::new("Sine", "x, m", "y, m"), Plot::new("Square", "x, m", "y, m")];
     for kind in KINDS {
         let name = kind_name(kind);
-        let roll = released("single_axis_roll", kind, false);
-        let yaw = released("string_yaw", kind, true);
-        let mut flown = Headless::start_with("takeoff", kind);
+        let roll = released(effort, "single_axis_roll", kind, false);
+        let yaw = released(effort, "string_yaw", kind, true);
+        let mut flown = Headless::start_seeded("takeoff", kind, |own| effort.seed(own));
         let mut climb = Vec::new();
         flown.run(|tick| climb.push((tick.time.as_seconds(), tick.truth.position_enu_m.z)));
         let over = climb.iter().map(|p| p.1 - 1.0).fold(0.0, f64::max);
@@ -413,7 +416,7 @@ fn flights(report: &mut Report) -> Done<()> {
             format!("{over:.3}"),
         ];
         for (plot, path) in tracks.iter_mut().zip(["circle", "sine", "square"]) {
-            let (rmse, track) = follow(path, kind);
+            let (rmse, track) = follow(effort, path, kind);
             report.value(&format!("flight/{path}_rmse/{name}"), rmse, "m", json!({}));
             cells.push(format!("{rmse:.3}"));
             *plot = plot.clone().with(Series::line(name, track));
@@ -448,11 +451,8 @@ fn flights(report: &mut Report) -> Done<()> {
     Ok(())
 }
 
-/// Seeds of each controller's take-offs with a telephone's sensors.
-const TELEPHONE_SEEDS: u64 = 20;
-
 /// The source's vehicle senses with a telephone only.
-fn telephone(report: &mut Report) -> Done<()> {
+fn telephone(report: &mut Report, effort: &Effort) -> Done<()> {
     report.heading("With a telephone's sensors");
     report.paragraph(
         "The source senses with a telephone alone: one nine-axis IMU, a barometer, GNSS at 1 Hz. Here the Iris takes off to 1 m \
@@ -463,8 +463,8 @@ fn telephone(report: &mut Report) -> Done<()> {
     let mut rows = Vec::new();
     for controller in KINDS {
         let name = kind_name(controller);
-        let flown = parallel(TELEPHONE_SEEDS as usize, |i| {
-            let (estimator, seed) = (EstimatorKind::EkfBias, 1 + i as u64);
+        let flown = parallel(effort.flights as usize, |i| {
+            let (estimator, seed) = (EstimatorKind::EkfBias, effort.seed_base + i as u64);
             TakeOff { airframe: "iris", world: "datasheet", estimator, controller, seed }.fly()
         });
         let airborne = flown.iter().filter(|f| f.most_m() >= AIRBORNE_M).count();
@@ -478,7 +478,7 @@ fn telephone(report: &mut Report) -> Done<()> {
             rms_median,
             "m",
             json!({ "worst": rms_most, "overshoot_median_m": over_median, "overshoot_most_m": over_most,
-                "airborne": airborne, "lost": lost, "flights": TELEPHONE_SEEDS, "world": "datasheet" }),
+                "airborne": airborne, "lost": lost, "flights": effort.flights, "seed_base": effort.seed_base, "world": "datasheet" }),
         );
         let metres = |m: f64| format!("{m:.2}");
         let counts = [airborne.to_string(), lost.to_string()];
@@ -486,6 +486,6 @@ fn telephone(report: &mut Report) -> Done<()> {
         rows.push([vec![name.to_string()], counts.to_vec(), figures.to_vec()].concat());
     }
     let headers = ["controller", "airborne", "lost", "overshoot, m", "most", "altitude from 8 s on, m rms", "worst"];
-    report.table("telephone", "Medians and worst of twenty flights of each.", &headers, &rows)?;
+    report.table("telephone", &format!("Medians and worst of {} flights of each.", effort.flights), &headers, &rows)?;
     Ok(())
 }

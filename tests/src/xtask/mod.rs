@@ -57,7 +57,7 @@ enum Task {
     /// Every decoder against damaged input, each for so many minutes, as JSON lines.
     Fuzz(fuzz::FuzzOptions),
     /// Estimators and calibrations against references, recordings, peers and sources: JSON lines and a report.
-    Evaluate,
+    Evaluate(evaluate::Options),
     /// What CI runs: `test`.
     Ci,
     /// Debian packages of ground and agent, with their systemd units, for this computer or for the vehicle's.
@@ -78,7 +78,7 @@ pub fn main() -> ExitCode {
         Task::Chaos(options) => chaos::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Soak(options) => chaos::soak(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Fuzz(options) => fuzz::fuzz(&workspace, &options).map(|()| ExitCode::SUCCESS),
-        Task::Evaluate => evaluate::run(&workspace).map(|()| ExitCode::SUCCESS),
+        Task::Evaluate(options) => evaluate::run(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Ci => Ok(verdict(test::run(&workspace, &test::Options::default()))),
         Task::Package(options) => package::package(&workspace, &options).map(|()| ExitCode::SUCCESS),
         Task::Web(options) => web::run(&workspace, &options).map(|()| ExitCode::SUCCESS),

@@ -7,25 +7,25 @@ use super::{Workspace, XtaskError, bench, campaign};
 pub struct Options {
     /// `paternain`, `umasankar`, `strategies`, `clinic`, or one of our own: `envelope`, `rotors`, `attacks`; all without a name.
     pub source: Option<String>,
-    /// Fewer seeds and trials, where a program knows it.
+    /// Fewer seeds and trials.
     #[arg(long)]
     pub quick: bool,
-    /// First seed of drawn flights: anyone flies fresh ones.
+    /// First seed of whatever is drawn: anyone flies fresh flights.
     #[arg(long)]
     pub seed_base: Option<u64>,
     /// Flights of each row.
     #[arg(long)]
     pub flights: Option<u64>,
     /// World of the flights of `clinic`: `ideal`, `bench`, `datasheet`, `harsh`.
-    #[arg(long)]
+    #[arg(long, requires = "source")]
     pub world: Option<String>,
-    /// One part of `clinic`, `envelope` or `rotors`, or one row of `attacks`.
+    /// One part of `paternain`, `clinic`, `envelope` or `rotors`, or one row of `attacks`.
     #[arg(long, requires = "source")]
     pub only: Option<String>,
 }
 
 impl Options {
-    /// Of the campaigns: what one of them does not know, it does not read.
+    /// Of the campaigns: what one of them does not know, it refuses.
     fn arguments(&self) -> Vec<String> {
         let numbers = [("--seed-base", self.seed_base), ("--flights", self.flights)];
         let mut arguments: Vec<String> = self.quick.then(|| "--quick".into()).into_iter().collect();

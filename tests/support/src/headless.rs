@@ -47,8 +47,14 @@ impl Headless {
 
     /// The same with another controller, at its defaults.
     pub fn start_with(name: &str, controller: ControllerKind) -> Self {
+        Self::start_seeded(name, controller, |own| own)
+    }
+
+    /// The same, of the seed that `seed` makes of the scenario's own.
+    pub fn start_seeded(name: &str, controller: ControllerKind, seed: impl Fn(u64) -> u64) -> Self {
         let text = std::fs::read_to_string(scenario_file(name)).unwrap();
-        let scenario = Scenario::from_toml(&text).unwrap();
+        let mut scenario = Scenario::from_toml(&text).unwrap();
+        scenario.seed = seed(scenario.seed);
         let config = scenario.flight_config();
         let design = Design::new(controller, &scenario.airframe);
         let flight = Flight::new(FlightConfig { design, ..config }).unwrap();

@@ -5,12 +5,14 @@
 //! - [`envelope`]: how far attacks push that nobody sees, flown.
 //! - [`rotors`]: rotors that lose thrust, flown.
 //! - [`calibrations`]: files as a fit makes them.
+//! - [`effort`]: what a campaign is asked: seeds, flights, world, part.
 //! - [`counting`]: an allocator that counts.
 //! - [`system`], [`files`], [`kill`]: ground and agent as processes, what they record, and what a kill costs.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 pub mod calibrations;
 pub mod counting;
+pub mod effort;
 #[cfg(feature = "envelope")]
 pub mod envelope;
 #[cfg(feature = "system")]

@@ -14,11 +14,11 @@ use plumbline_agent::types::EstimatorKind;
 use plumbline_agent::vehicle::Truth;
 use plumbline_experiment::draw::{median, parallel};
 use plumbline_experiment::flight::fly_watched;
+use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
 use super::case::{Case, Pilot};
-use crate::effort::Effort;
 
 /// The instant of flight of each seed, s: after steps, and on the way of one.
 const AT_S: (f64, f64) = (14.0, 38.0);

@@ -21,12 +21,11 @@ use plumbline_experiment::draw::{median, median_interval, parallel, percentile, 
 use plumbline_experiment::flight::{Setup, fly};
 use plumbline_experiment::judge::Outcome;
 use plumbline_proto::v1::SensorKind;
+use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Axis, Plot, Report, ReportError, Series};
 use serde_json::json;
 
 use case::{Case, Pilot};
-
-use crate::effort::Effort;
 
 /// What is beyond the bound is declared within this, s.
 const DECLARED_S: f64 = 1.0;

@@ -14,11 +14,11 @@ use plumbline_experiment::monitor::Monitor;
 use plumbline_experiment::reception::altitude_m;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
+use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Plot, Report, ReportError, Series};
 use serde_json::json;
 
 use super::case::{Case, Pilot};
-use crate::effort::Effort;
 
 /// Rates of false alarms, of healthy sensors and flights, at which detection is told.
 const RATES: [f64; 2] = [0.01, 0.05];

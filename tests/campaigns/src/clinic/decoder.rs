@@ -120,18 +120,18 @@ fn combinatorial(window: &mut Window<STATES>) -> SVector<f64, STATES> {
 }
 
 pub fn run(report: &mut Report, effort: &Effort) {
-    figure_10(report);
+    figure_10(report, effort);
     figures_11_and_12(report, effort);
     every_set(report, effort);
     figure_13(report, effort);
     coupled_and_split(report, effort);
 }
 
-fn figure_10(report: &mut Report) {
+fn figure_10(report: &mut Report, effort: &Effort) {
     report.heading("Figure 10: one of three height sensors compromised");
     let mut flight = Flight::new(3, 1.0);
     let mut window = flight.window(SLOTS);
-    let mut dice = Dice::new(10);
+    let mut dice = Dice::new(effort.flown.seed(10));
     let (mut truth, mut attack, mut decoded) = (vec![], vec![], vec![]);
     let (mut sensor_error, mut error) = (vec![], vec![]);
     for step in 0..100 {
@@ -174,7 +174,7 @@ fn figures_11_and_12(report: &mut Report, effort: &Effort) {
         let points: Vec<usize> = (0..=MANY).step_by(2).collect();
         let trials = effort.trials.min(20) as usize;
         let all = parallel(points.len() * trials, |i| {
-            height_error(MANY, points[i / trials], attack, 1000 + i as u64, convex)
+            height_error(MANY, points[i / trials], attack, effort.flown.seed(1000 + i as u64), convex)
         });
         let of = |p: usize| &all[p * trials..(p + 1) * trials];
         let recovered = |p: usize| of(p).iter().filter(|e| **e <= RECOVERED).count() as f64 / trials as f64;
@@ -211,7 +211,7 @@ fn every_set(report: &mut Report, effort: &Effort) {
     for (name, attack) in attacks {
         for attacked in 0..=FEW_MOST + 1 {
             let all = parallel(trials, |i| {
-                let seed = 5000 + 100 * attacked as u64 + i as u64;
+                let seed = effort.flown.seed(5000 + 100 * attacked as u64 + i as u64);
                 let error = |decode| 100.0 * height_error(FEW, attacked, attack, seed, decode);
                 [error(convex as fn(&mut Window<STATES>) -> _), error(combinatorial)]
             });
@@ -266,7 +266,9 @@ fn coupled_and_split(report: &mut Report, effort: &Effort) {
         let x = window.decode(|_| false, &[], None).unwrap().x;
         (x[PITCH] - flight.x[PITCH]).abs().to_degrees()
     };
-    let of = |split: bool, attacked: usize| median(&parallel(trials, |i| error_deg(split, attacked, 1700 + i as u64)));
+    let of = |split: bool, attacked: usize| {
+        median(&parallel(trials, |i| error_deg(split, attacked, effort.flown.seed(1700 + i as u64))))
+    };
     let mut plot = Plot::new("Pitch of so many of four units is biased by 11.5°", "attacked of 4", "pitch error, °");
     for (name, split) in [("coupled", false), ("split", true)] {
         let errors: Vec<f64> = (0..=4).map(|attacked| of(split, attacked)).collect();
@@ -286,7 +288,7 @@ fn figure_13(report: &mut Report, effort: &Effort) {
         let mut flight = Flight::new(2, 0.95);
         let mut sliding = flight.window(SLOTS);
         let mut growing = flight.window(STEPS).growing();
-        let mut dice = Dice::new(1300 + seed as u64);
+        let mut dice = Dice::new(effort.flown.seed(1300 + seed as u64));
         let mut errors = Vec::with_capacity(STEPS);
         for _ in 0..STEPS {
             let forced = flight.step();

@@ -61,7 +61,12 @@ fn tune(report: &mut Report, effort: &Effort) -> Tuning {
         .collect();
     let all = parallel(choices.len() * RIGS.len() * SEEDS, |i| {
         let (choice, rest) = (choices[i / (RIGS.len() * SEEDS)], i % (RIGS.len() * SEEDS));
-        let plan = Plan::new(RIGS[rest / SEEDS].1, STEPS, 901 + (rest % SEEDS) as u64, Pilot::Augmented(choice));
+        let plan = Plan::new(
+            RIGS[rest / SEEDS].1,
+            STEPS,
+            effort.flown.seed(901 + (rest % SEEDS) as u64),
+            Pilot::Augmented(choice),
+        );
         fly(&Plan { world: effort.flown.world.clone(), ..plan })
     });
     let scores: Vec<f64> = all

@@ -12,12 +12,13 @@ mod sdof;
 
 use std::process::ExitCode;
 
+use plumbline_support::effort::{Effort as Asked, Knows};
 use plumbline_tests::report::Report;
 
 /// How much of it.
 pub struct Effort {
     /// Flights of each kind, seeds and world.
-    pub flown: crate::effort::Effort,
+    pub flown: Asked,
     /// Trials of each point of a figure.
     pub trials: u64,
 }
@@ -38,9 +39,8 @@ impl Effort {
 }
 
 pub fn run() -> ExitCode {
-    let flown = crate::effort::Effort::asked_from([20, 4], 1);
-    let quick = std::env::args().any(|a| a == "--quick");
-    let effort = Effort { flown, trials: if quick { 10 } else { 50 } };
+    let flown = Asked::of_program(Knows { seed: 1, flights: Some([20, 4]), worlds: true, parts: true });
+    let effort = Effort { trials: if flown.quick { 10 } else { 50 }, flown };
     let runs = |part: &str| effort.flown.wants(part);
     let mut report =
         Report::open("reproduce", "clinic", "Secure state estimation: [Clinic] Figures 5 to 13 and Table 1").unwrap();
@@ -59,8 +59,9 @@ pub fn run() -> ExitCode {
         flights::run(&mut report, &effort);
     }
     if runs("phantom") {
-        phantom::run(&mut report);
+        phantom::run(&mut report, &effort);
     }
+    effort.flown.is_done();
     report.finish().unwrap();
     ExitCode::SUCCESS
 }

@@ -16,6 +16,8 @@ use serde_json::json;
 
 use plumbline_experiment::draw::{median, parallel, worst};
 
+use super::Effort;
+
 /// Attacks begin this long after the first frame, s, and end with the recording.
 const ONSET_S: f64 = 10.0;
 /// Inclination is judged from here on, s after the first frame.
@@ -42,7 +44,7 @@ struct Run {
     minutes: f64,
 }
 
-fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
+fn run_one(folder: &Path, attack: Option<(usize, u8)>, effort: &Effort) -> Option<Run> {
     let mut recording = recordings::open(folder).ok()?;
     let sensors = recording.info().sensor_model();
     let airframe = Airframe::iris();
@@ -76,7 +78,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
                     start_s: ONSET_S,
                     duration_s: 3000.0,
                     magnitude,
-                    seed: 1,
+                    seed: effort.flown.seed(1),
                 };
                 injector
                     .upload(&Schedule { id: 1, attacks: [one].into_iter().collect(), ..Schedule::default() }, now)
@@ -122,7 +124,7 @@ fn run_one(folder: &Path, attack: Option<(usize, u8)>) -> Option<Run> {
     Some(run)
 }
 
-pub fn run(report: &mut Report) {
+pub fn run(report: &mut Report, effort: &Effort) {
     report.heading("Four real IMUs: Phantom 4");
     let root = std::env::var_os("PLUMBLINE_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared"), PathBuf::from);
@@ -136,7 +138,8 @@ pub fn run(report: &mut Report) {
         .filter(|p| p.join("IMU_4.csv").is_file())
         .collect();
     flights.sort();
-    let clean: Vec<Run> = parallel(flights.len(), |i| run_one(&flights[i], None)).into_iter().flatten().collect();
+    let clean: Vec<Run> =
+        parallel(flights.len(), |i| run_one(&flights[i], None, effort)).into_iter().flatten().collect();
     if clean.len() != flights.len() || clean.is_empty() {
         return report.skipped("phantom4", "a recording could not be read");
     }
@@ -158,11 +161,12 @@ pub fn run(report: &mut Report) {
     );
     let mut rows = Vec::new();
     for (index, (attack, ..)) in ATTACKS.iter().enumerate() {
-        let runs: Vec<(usize, Run)> =
-            parallel(4 * flights.len(), |i| Some((i / 4, run_one(&flights[i / 4], Some((index, 1 + (i % 4) as u8)))?)))
-                .into_iter()
-                .flatten()
-                .collect();
+        let runs: Vec<(usize, Run)> = parallel(4 * flights.len(), |i| {
+            Some((i / 4, run_one(&flights[i / 4], Some((index, 1 + (i % 4) as u8)), effort)?))
+        })
+        .into_iter()
+        .flatten()
+        .collect();
         for (which, only) in [("", &agreeing), ("/every_recording", &(0..flights.len()).collect())] {
             let runs = || runs.iter().filter(|(f, _)| only.contains(f));
             let ratios: Vec<f64> = runs().map(|(f, r)| r.inclination_deg / clean[*f].inclination_deg).collect();

@@ -73,7 +73,7 @@ pub fn run(report: &mut Report, effort: &Effort) {
     // one sensor the decoder is least squares (9).
     let runs: Vec<_> = (0..10 * effort.trials)
         .map(|seed| {
-            let mut dice = Dice::new(seed);
+            let mut dice = Dice::new(effort.flown.seed(seed));
             simulate(move || 0.5 * (dice.uniform() - 0.5))
         })
         .collect();

@@ -4,11 +4,10 @@ use plumbline_agent::envelope::prepare::prepared;
 use plumbline_experiment::draw::{parallel, worst};
 use plumbline_experiment::summary::part;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
+use plumbline_support::effort::Effort;
 use plumbline_support::envelope::{Flown, HORIZON_S, Worn, fly};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
-
-use crate::effort::Effort;
 
 /// Everything that can be attacked.
 const ALL: [&str; 8] = ["height 1", "height 2", "height 3", "imu 1", "imu 2", "imu 3", "imu 4", "rotors"];

@@ -12,13 +12,13 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion};
+use plumbline_support::effort::Effort;
 use plumbline_support::envelope::{Bounds, HORIZON_S, Worn, asked_with, fly, fly_for};
 use plumbline_tests::report::{Plot, Report, ReportError, Series};
 use serde_json::json;
 
 use super::usual;
 use crate::attacks::area;
-use crate::effort::Effort;
 
 /// The world: the noise of the data sheets, no vibration.
 const WORLD: &str = "bench";

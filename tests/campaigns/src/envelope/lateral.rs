@@ -9,12 +9,12 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
+use plumbline_support::effort::Effort;
 use plumbline_support::envelope::{Flown, Worn, fly_for, fly_held};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
 use super::usual;
-use crate::effort::Effort;
 
 /// The world: the noise of the data sheets, no vibration.
 const WORLD: &str = "bench";

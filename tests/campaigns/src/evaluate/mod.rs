@@ -2,7 +2,7 @@
 //! them. Every figure is a JSON line with its target and whether it is met; the page has the errors over time.
 //!
 //! One file per group. Recordings are those found in the folders of the public data, whatever their names: the same
-//! program runs on others. Parameters are the same for all of them.
+//! program runs on others. Parameters are the same for all of them. Noise is added to GNSS: `--seed-base N` adds another.
 
 mod attitude;
 mod calibration;
@@ -14,10 +14,12 @@ mod scored;
 use std::path::PathBuf;
 
 use plumbline_agent::recordings::shared;
+use plumbline_support::effort::{Effort, Knows};
 use plumbline_tests::report::{Report, ReportError};
 use scored::Scored;
 
 pub fn run() -> Result<(), ReportError> {
+    let effort = Effort::of_program(Knows { seed: 1, flights: None, worlds: false, parts: false });
     let report = Report::open("evaluate", "estimation", "Estimation against references, recordings and peers")?;
     let mut scored = Scored::new(report);
     golden::golden(&mut scored);
@@ -25,7 +27,7 @@ pub fn run() -> Result<(), ReportError> {
     magnet::standing_magnets(&mut scored);
     attitude::px4(&mut scored)?;
     position::rotorpy(&mut scored)?;
-    position::phantom4(&mut scored)?;
+    position::phantom4(&mut scored, &effort)?;
     calibration::calibration(&mut scored);
     scored.finish()
 }

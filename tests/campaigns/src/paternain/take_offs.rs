@@ -9,10 +9,11 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{ControllerKind, EstimatorKind};
 use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
+use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 
-use crate::figures::{quantile, setting};
+use crate::figures::quantile;
 
 /// When 1 m is asked for, s since boot.
 const ASKED_S: f64 = 12.0;
@@ -119,7 +120,7 @@ altitude_m = 1.0
     }
 }
 
-pub fn take_offs(report: &mut Report, rows: &mut Vec<Vec<String>>) {
+pub fn take_offs(report: &mut Report, rows: &mut Vec<Vec<String>>, effort: &Effort) {
     report.heading("VIII-C with his own airframe and suite");
     report.paragraph(
         "His vehicle carries one IMU, a barometer and GNSS at 1 Hz (Table I). Overshoot is the highest true altitude of 28 s, \
@@ -129,7 +130,7 @@ pub fn take_offs(report: &mut Report, rows: &mut Vec<Vec<String>>) {
          the accelerometer as measurements (errata 8); the box is that of a field, 20 m aside and 6 m up, for a GNSS that is \
          off by metres; an operator who sees the vehicle keeps it over its place.",
     );
-    let (flights, base) = (setting("FLIGHTS", 100), setting("SEED", 1));
+    let (flights, base) = (effort.flights, effort.seed_base);
     let mut plot = Plot::new("Take-offs with barometer and GNSS", "t, s", "true altitude, m");
     for world in ["datasheet", "harsh"] {
         for estimator in [EstimatorKind::EkfBias, EstimatorKind::Lanes] {

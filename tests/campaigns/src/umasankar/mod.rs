@@ -14,14 +14,13 @@ use std::process::ExitCode;
 use flights::{Flown, PATHS, Path};
 use literal::Literal;
 use plumbline_experiment::draw::parallel;
+use plumbline_support::effort::{Effort, Knows};
 use plumbline_tests::report::{Axis, Plot, Report, Series};
 use score::{Cell, FILTERS, Tables};
 use serde_json::json;
 
 /// Camera rates, Hz.
 pub const RATES_HZ: [usize; 6] = [120, 60, 24, 12, 6, 1];
-/// Runs of each path.
-const RUNS: usize = 20;
 /// Entries of Tables 3 to 5 that must be beaten, of 72.
 const AHEAD_MIN: usize = 70;
 /// Mean NEES of twelve states that is called consistent.
@@ -75,37 +74,40 @@ pub const PAPER: [[[f64; 4]; 6]; 3] = [
 pub const AXES: [&str; 3] = ["x", "y", "z"];
 
 pub fn run() -> ExitCode {
+    let effort = Effort::of_program(Knows { seed: 0, flights: Some([20, 2]), worlds: false, parts: false });
     let title = "Motion capture: hybrid EKF and UKF of [Umasankar], Tables 3 to 5";
     let mut report = Report::open("reproduce", "umasankar", title).unwrap();
     report.paragraph(&format!(
-        "{RUNS} flights of each path, the same for both filters and every rate. Ranges with 1.5, 15, 2 and 100 mm of \
+        "{} flights of each path from seed {}, the same for both filters and every rate. Ranges with 1.5, 15, 2 and 100 mm of \
          noise, angles with 5 mrad (chosen; the source gives none). The floor is the Cramér–Rao bound along the true \
          flight. Two of the paper's entries (x and y, hover, 1 Hz) lie below the floor of their own sensors. At 1 Hz the rougher plant turns by 3° between measurements: first-order covariances are then \
          too small, the EKF's by a third, and the independent reference finds the same. Plant \"unknown\" is three times as \
-         rough as the filters assume, and its floor too is that of the filters' assumption."
+         rough as the filters assume, and its floor too is that of the filters' assumption.",
+        effort.flights, effort.seed_base
     ));
     for (plant, assumed) in [(PLANTS[0], PLANTS[0]), (PLANTS[1], PLANTS[1]), (UNKNOWN, PLANTS[0])] {
-        let tables = fly_all(plant, assumed);
-        show(&mut report, plant, &tables);
+        let tables = fly_all(plant, assumed, &effort);
+        show(&mut report, plant, &tables, &effort);
     }
-    literal(&mut report);
+    literal(&mut report, &effort);
     report.finish().unwrap();
     ExitCode::SUCCESS
 }
 
 /// Every path, run and rate on every core; the filters assume the plant `assumed`.
-fn fly_all(plant: Plant, assumed: Plant) -> Tables {
-    let jobs: Vec<(usize, usize)> = (0..PATHS.len()).flat_map(|path| (0..RUNS).map(move |run| (path, run))).collect();
+fn fly_all(plant: Plant, assumed: Plant, effort: &Effort) -> Tables {
+    let runs = effort.seed_base..effort.seed_base + effort.flights;
+    let jobs: Vec<_> = (0..PATHS.len()).flat_map(|path| runs.clone().map(move |run| (path, run))).collect();
     let scored = parallel(jobs.len(), |job| {
         let (path, run) = jobs[job];
-        (path, score::score(&Flown::fly(PATHS[path], plant, run as u64), assumed))
+        (path, score::score(&Flown::fly(PATHS[path], plant, run), assumed))
     });
     let mut tables = Tables::default();
     scored.into_iter().for_each(|(path, scored)| tables.take(path, scored));
     tables
 }
 
-fn show(report: &mut Report, plant: Plant, tables: &Tables) {
+fn show(report: &mut Report, plant: Plant, tables: &Tables, effort: &Effort) {
     report.heading(&format!("Plant \"{}\": {} m/s²/√Hz, {} rad/s²/√Hz", plant.name, plant.accel, plant.turn));
     let mut ahead = [0; FILTERS.len()];
     let mut consistent = [true; FILTERS.len()];
@@ -128,7 +130,7 @@ fn show(report: &mut Report, plant: Plant, tables: &Tables) {
                     "m",
                     json!({
                         "paper": paper, "ekf": std[0], "ukf": std[1], "floor": cell.floor_m[axis],
-                        "nees_ekf": cell.nees[0], "nees_ukf": cell.nees[1], "runs": RUNS,
+                        "nees_ekf": cell.nees[0], "nees_ukf": cell.nees[1], "runs": effort.flights, "seed_base": effort.seed_base,
                     }),
                 );
                 let mm = |v: f64| format!("{:.2}", v * 1e3);
@@ -175,7 +177,7 @@ fn show(report: &mut Report, plant: Plant, tables: &Tables) {
 }
 
 /// Algorithm 1 as it is printed, beside the corrected one, over one flight of the circle.
-fn literal(report: &mut Report) {
+fn literal(report: &mut Report, effort: &Effort) {
     report.heading("The literal Algorithm 1");
     report.paragraph(
         "Lines 8 and 11 propagate P by one Euler step of P' = AP + PA' + Q over the whole interval between \
@@ -183,7 +185,7 @@ fn literal(report: &mut Report) {
          added to its upper left corner (ERRATA, [Umasankar] 7). With K R K' instead the propagation alone is shown.",
     );
     let plant = PLANTS[0];
-    let flown = Flown::fly(PATHS[1], plant, 0);
+    let flown = Flown::fly(PATHS[1], plant, effort.seed_base);
     let mut rows = Vec::new();
     for variant in [Literal::AsPrinted, Literal::JosephUpdate] {
         for hz in RATES_HZ {

@@ -1,9 +1,11 @@
 //! The three experiments of [Paternain] VIII, flown: roll let go (VIII-A), yaw on strings (VIII-B), take-off (VIII-C).
 //!
-//! All figures are of the simulator's truth. Angles in degrees, time zero where the hand lets go or the step is asked.
+//! All figures are of the simulator's truth. Angles in degrees, time zero where the hand lets go or the step is asked. Each is
+//! flown of the seed that is made of its scenario's own.
 
 use super::Headless;
 use plumbline_agent::sim::Scenario;
+use plumbline_agent::types::ControllerKind;
 
 /// One experiment.
 pub struct Answer {
@@ -49,8 +51,13 @@ fn released_s(scenario: &Scenario) -> f64 {
     scenario.script.pushes.iter().map(|push| push.at_s + push.duration_s).fold(0.0, f64::max)
 }
 
-fn flown(name: &str, start_s: impl Fn(&Scenario) -> f64, value: impl Fn([f64; 4]) -> f64) -> Vec<(f64, f64, f64)> {
-    let mut flown = Headless::start(name);
+fn flown(
+    seed: &dyn Fn(u64) -> u64,
+    name: &str,
+    start_s: impl Fn(&Scenario) -> f64,
+    value: impl Fn([f64; 4]) -> f64,
+) -> Vec<(f64, f64, f64)> {
+    let mut flown = Headless::start_seeded(name, ControllerKind::LqrIntegral, seed);
     let start = start_s(&flown.scenario);
     let mut curve = Vec::new();
     flown.run(|tick| {
@@ -65,20 +72,20 @@ fn flown(name: &str, start_s: impl Fn(&Scenario) -> f64, value: impl Fn([f64; 4]
 }
 
 /// VIII-A: roll held at 20° for 0.4 s and let go.
-pub fn roll() -> Answer {
-    Answer::of(flown("single_axis_roll", released_s, |v| v[0]), 0.0, 2.0)
+pub fn roll(seed: &dyn Fn(u64) -> u64) -> Answer {
+    Answer::of(flown(seed, "single_axis_roll", released_s, |v| v[0]), 0.0, 2.0)
 }
 
 /// VIII-B: thrust below lift-off, hung on a string; yaw held aside for 1.2 s and let go.
-pub fn yaw() -> Answer {
-    let curve = flown("string_yaw", released_s, |v| v[2]);
+pub fn yaw(seed: &dyn Fn(u64) -> u64) -> Answer {
+    let curve = flown(seed, "string_yaw", released_s, |v| v[2]);
     // Back to the heading held before the hand came: what the magnetometers take for the target.
     let held = curve.iter().take_while(|(t, ..)| *t < -1.5).last().map_or(0.0, |(_, truth, _)| *truth);
     Answer::of(curve, held, 2.0)
 }
 
 /// VIII-C: take-off from the floor to 1 m.
-pub fn take_off() -> Answer {
+pub fn take_off(seed: &dyn Fn(u64) -> u64) -> Answer {
     let asked = |scenario: &Scenario| {
         let steps = scenario.script.steps.iter();
         steps
@@ -86,5 +93,5 @@ pub fn take_off() -> Answer {
             .map(|s| s.at_s)
             .fold(0.0, f64::max)
     };
-    Answer::of(flown("takeoff", asked, |v| v[3]), 1.0, 0.05)
+    Answer::of(flown(seed, "takeoff", asked, |v| v[3]), 1.0, 0.05)
 }
