@@ -107,29 +107,30 @@ fn id(name: &str, what: &str) -> String {
     format!("flight_{sensor}_{what}_{axis}")
 }
 
-/// Spectra of the harsh world within a factor of 3 of the recordings' median in all bands but one; its rms between their
-/// least over 1.5 and their most times 1.5; the datasheet world's 0.2 to 0.6 of their median.
+/// Worlds, and their vibration beside the recorded: `datasheet` has a soft mount that leaves a third.
+const WORLDS: [(&str, f64); 2] = [("harsh", 1.0), ("datasheet", 1.0 / 3.0)];
+
+/// Spectra within a factor of 3 of the recordings' median, as much smaller as the mount leaves, in all bands but one; the rms
+/// of the harsh world between their least over 1.5 and their most times 1.5; the datasheet world's 0.2 to 0.6 of their median.
 #[test]
 fn it_has_the_spectra_of_a_real_vehicle() {
     let recorded = Recorded::read();
-    for world in ["harsh", "datasheet"] {
+    for (world, part) in WORLDS {
         let flights: Vec<_> = (0..FLIGHTS).map(|seed| flight(world, seed, 1).remove(0)).collect();
         let (mut outside, mut bands) = (Vec::new(), 0);
         for (axis, name) in NAMES.into_iter().enumerate() {
             let spectra: Vec<_> = flights.iter().map(|flight| density(&windows(&flight[axis]))).collect();
             let psd = recorded.check(&id(name, "psd"));
             let edges: Vec<Vec<f64>> = psd["bands_hz"].as_array().unwrap().iter().map(numbers).collect();
-            if world == "harsh" {
-                for (edge, measured) in edges.iter().zip(numbers(&psd["median"])) {
-                    let mean = |s: &Vec<f64>| {
-                        let inside: Vec<usize> = bins(edge[0], edge[1]).collect();
-                        inside.iter().map(|bin| s[*bin]).sum::<f64>() / inside.len() as f64
-                    };
-                    let ratio = median(&mut spectra.iter().map(mean).collect::<Vec<_>>()) / measured;
-                    bands += 1;
-                    if !(1.0 / 3.0..=3.0).contains(&ratio) {
-                        outside.push(format!("{name} {edge:?} Hz: {ratio:.2}"));
-                    }
+            for (edge, measured) in edges.iter().zip(numbers(&psd["median"])) {
+                let mean = |s: &Vec<f64>| {
+                    let inside: Vec<usize> = bins(edge[0], edge[1]).collect();
+                    inside.iter().map(|bin| s[*bin]).sum::<f64>() / inside.len() as f64
+                };
+                let ratio = median(&mut spectra.iter().map(mean).collect::<Vec<_>>()) / (part * part * measured);
+                bands += 1;
+                if !(1.0 / 3.0..=3.0).contains(&ratio) {
+                    outside.push(format!("{name} {edge:?} Hz: {ratio:.2}"));
                 }
             }
             let from_hz = edges[0][0];
@@ -145,35 +146,43 @@ fn it_has_the_spectra_of_a_real_vehicle() {
             }
         }
         println!("{world}: {} of {bands} bands outside: {outside:?}", outside.len());
-        assert!(outside.len() <= 1, "{outside:?}");
+        assert!(outside.len() <= 1, "{world}: {outside:?}");
     }
 }
 
-/// Neither a pure tone (1.5) nor white alone (3.0); and two IMUs of one plate agree as the recorded ones do.
+/// Neither a pure tone (1.5) nor white alone (3.0) on any axis; and two IMUs of one plate share a part of what they feel, as the
+/// recorded ones do, neither nothing nor all of it.
 #[test]
 fn it_is_as_peaked_and_as_common_as_a_real_vehicle_s() {
     let recorded = Recorded::read();
-    let (mut kurtosis, mut coherence) = (Vec::new(), Vec::new());
-    for seed in 0..FLIGHTS {
-        let imus = flight("harsh", seed, 2);
-        let (a, b) = (windows(&imus[0][5]), windows(&imus[1][5]));
-        let inside: Vec<usize> = bins(15.0, 45.0).collect();
-        let at = |bin: usize| {
-            let cross = a.iter().zip(&b).map(|(a, b)| a[bin].conj() * b[bin]).sum::<Complex<f64>>().norm_sqr();
-            let power = |w: &[Vec<Complex<f64>>]| w.iter().map(|w| w[bin].norm_sqr()).sum::<f64>();
-            cross / (power(&a) * power(&b))
-        };
-        coherence.push(inside.iter().map(|bin| at(*bin)).sum::<f64>() / inside.len() as f64);
-        let mut high = Biquad::high_pass(10.0, RATE_HZ);
-        let passed: Vec<f64> = imus[0][5].iter().map(|x| high.step(*x)).skip(WINDOW).collect();
-        let moment = |n: i32| passed.iter().map(|x| x.powi(n)).sum::<f64>() / passed.len() as f64;
-        kurtosis.push(moment(4) / moment(2).powi(2));
+    for (world, _) in WORLDS {
+        let flights: Vec<_> = (0..FLIGHTS).map(|seed| flight(world, seed, 2)).collect();
+        for (axis, name) in NAMES.into_iter().enumerate() {
+            let (mut kurtosis, mut coherence) = (Vec::new(), Vec::new());
+            for imus in &flights {
+                let (a, b) = (windows(&imus[0][axis]), windows(&imus[1][axis]));
+                let inside: Vec<usize> = bins(15.0, 45.0).collect();
+                let at = |bin: usize| {
+                    let cross = a.iter().zip(&b).map(|(a, b)| a[bin].conj() * b[bin]).sum::<Complex<f64>>().norm_sqr();
+                    let power = |w: &[Vec<Complex<f64>>]| w.iter().map(|w| w[bin].norm_sqr()).sum::<f64>();
+                    cross / (power(&a) * power(&b))
+                };
+                coherence.push(inside.iter().map(|bin| at(*bin)).sum::<f64>() / inside.len() as f64);
+                let mut high = Biquad::high_pass(10.0, RATE_HZ);
+                let passed: Vec<f64> = imus[0][axis].iter().map(|x| high.step(*x)).skip(WINDOW).collect();
+                let moment = |n: i32| passed.iter().map(|x| x.powi(n)).sum::<f64>() / passed.len() as f64;
+                kurtosis.push(moment(4) / moment(2).powi(2));
+            }
+            let (kurtosis, coherence) = (median(&mut kurtosis), median(&mut coherence));
+            let of = |id: &str| recorded.check(id).clone();
+            let (peaked, common) = (of("flight_acc_kurtosis"), &of("imu_to_imu_coherence")[name][1]);
+            println!("{world} {name}: kurtosis {kurtosis:.2}, coherence {coherence:.2} (recorded {common})");
+            // Kurtosis was recorded of accelerometers.
+            let peaks = name.starts_with("gyr") || (2.5..=8.0).contains(&kurtosis);
+            assert!(peaks, "{world} {name}: {kurtosis}, recorded {}", peaked["median"]);
+            assert!((0.2..=0.8).contains(&coherence), "{world} {name}: {coherence}, recorded {common}");
+        }
     }
-    let (kurtosis, coherence) = (median(&mut kurtosis), median(&mut coherence));
-    let measured = recorded.check("flight_acc_kurtosis");
-    println!("kurtosis {kurtosis:.2} (recorded {}), coherence {coherence:.2}", measured["median"]);
-    assert!((2.5..=8.0).contains(&kurtosis), "{kurtosis}");
-    assert!((0.3..=0.7).contains(&coherence), "{coherence}: recorded {}", recorded.check("imu_to_imu_coherence"));
 }
 
 /// A tone of a rotor that turns steadily at 88 Hz, sampled at 100 Hz behind the sensor's filter, is what the filter makes of
