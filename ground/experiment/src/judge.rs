@@ -24,6 +24,10 @@ const ASTRAY_M: f64 = 0.5;
 /// A descent faster than this, m/s, is a fall; one that ends higher than this, m, ended in the air (strings begin at 0.3 m).
 const FALLS_MPS: f64 = 1.5;
 const DOWN_M: f64 = 0.45;
+/// A sensor that counts less than this beside the one of its kind that counts most is as good as excluded, announced or not, …
+const NOTHING: f64 = 0.01;
+/// … once it has for longer than this, s.
+const QUIET_S: f64 = 1.0;
 /// How long a signal's innovations count for [`Outcome::nis_most`], s.
 pub const ALARM_S: f64 = 0.5;
 
@@ -60,6 +64,10 @@ pub struct Outcome {
     pub false_longest_s: f64,
     /// How many there were.
     pub false_exclusions: usize,
+    /// Longest that a healthy sensor counted for almost nothing, whether it was announced as excluded or not, s.
+    pub quiet_longest_s: f64,
+    /// How often that was longer than a second.
+    pub quiet_exclusions: usize,
     /// From the first onset until the flight said that it is contradicted, or a failsafe acted, s.
     pub declared_s: Option<f64>,
     /// Outside the bound on the height's error that was announced, as a part of the time there was one.
@@ -190,8 +198,40 @@ pub(crate) struct Judge {
     /// Sensors excluded now, and since when, s.
     excluded: Vec<(SensorId, f64)>,
     found: Vec<SensorId>,
+    quiet: Quiet,
     signals: Vec<Signal>,
     steps: Steps,
+}
+
+/// Healthy sensors that count for almost nothing: since when, s, and whether that is longer than [`QUIET_S`].
+#[derive(Debug, Default)]
+struct Quiet {
+    since: Vec<(SensorId, f64, bool)>,
+}
+
+impl Quiet {
+    /// `sensor` counts for so much beside the one of its kind that counts most.
+    fn take(&mut self, t: f64, sensor: SensorId, counts: f64, outcome: &mut Outcome) {
+        let known = self.since.iter().position(|(id, ..)| *id == sensor);
+        // What is no number counts for nothing either.
+        let nothing = counts.is_nan() || counts < NOTHING;
+        match known.and_then(|at| self.since.get_mut(at)) {
+            Some((_, since, long)) if nothing => {
+                let lasts_s = t - *since;
+                outcome.quiet_longest_s = outcome.quiet_longest_s.max(lasts_s);
+                if lasts_s > QUIET_S && !*long {
+                    (*long, outcome.quiet_exclusions) = (true, outcome.quiet_exclusions + 1);
+                }
+            }
+            None if nothing => self.since.push((sensor, t, false)),
+            _ => self.forget(sensor),
+        }
+    }
+
+    /// It is attacked, or silent.
+    fn forget(&mut self, sensor: SensorId) {
+        self.since.retain(|(id, ..)| *id != sensor);
+    }
 }
 
 /// One signal's normalised innovations squared: their faded mean, and when the last one came, s.
@@ -235,6 +275,7 @@ impl Judge {
             command: None,
             excluded: Vec::new(),
             found: Vec::new(),
+            quiet: Quiet::default(),
             signals: Vec::new(),
             steps: Steps::of(setup, from_s),
         }
@@ -387,6 +428,14 @@ impl Judge {
     fn exclusions(&mut self, t: f64, flight: &Flight) {
         let judge = flight.judge();
         let devices = judge.iter().flat_map(|judge| judge.isolation().devices());
+        for (judge, device) in judge.iter().flat_map(|judge| devices.clone().map(move |device| (judge, device))) {
+            let attacked = self.attacked.iter().any(|(id, onset_s)| *id == device.sensor && t >= *onset_s);
+            if device.present && !attacked {
+                self.quiet.take(t, device.sensor, judge.counts(device.sensor), &mut self.outcome);
+            } else {
+                self.quiet.forget(device.sensor);
+            }
+        }
         let weak = flight.rotors().effectiveness().iter().zip(1_u8..);
         let rotors = weak.map(|(part, instance)| (SensorId::new(SensorKind::Rotor, instance), *part < 1.0));
         for (sensor, isolated) in devices.map(|device| (device.sensor, device.flagged.is_some())).chain(rotors) {
@@ -457,6 +506,28 @@ mod tests {
         };
         // It loses a fifth, or nothing; the flight was over before.
         assert_eq!([(0.8, 29.0), (1.0, 29.0), (0.8, 19.0)].map(missed), [1, 0, 0]);
+    }
+
+    #[test]
+    fn what_counts_for_almost_nothing_longer_than_a_second_is_as_good_as_excluded() {
+        let told = |part: &dyn Fn(f64) -> f64| {
+            let (mut quiet, mut outcome) = (Quiet::default(), Outcome::default());
+            for tick in 0..1000 {
+                let t = f64::from(tick) * 0.01;
+                [1, 2].into_iter().for_each(|i| {
+                    let counts = if i == 1 { part(t) } else { 1.0 };
+                    quiet.take(t, SensorId::new(SensorKind::Imu, i), counts, &mut outcome);
+                });
+            }
+            (outcome.quiet_exclusions, (10.0 * outcome.quiet_longest_s).round())
+        };
+        assert_eq!(told(&|_| 1.0), (0, 0.0));
+        // A tenth counts; a thousandth does not, nor what is no number.
+        assert_eq!(told(&|t| if t > 3.0 { 0.1 } else { 1.0 }), (0, 0.0));
+        for nothing in [1e-3, 0.0, f64::NAN] {
+            assert_eq!(told(&|t| if (3.0..3.9).contains(&t) { nothing } else { 1.0 }), (0, 9.0));
+            assert_eq!(told(&|t| if (3.0..5.0).contains(&t) || t > 7.9 { nothing } else { 1.0 }), (2, 21.0));
+        }
     }
 
     #[test]

@@ -1,9 +1,9 @@
-//! One flight of a result: 184 bytes, the same on every machine.
+//! One flight of a result: 200 bytes, the same on every machine.
 //!
 //! | bytes | what |
 //! |---|---|
 //! | 4 | index, little-endian like everything |
-//! | 20 × 8 | measures, each a `f64`; NaN where there is nothing |
+//! | 22 × 8 | measures, each a `f64`; NaN where there is nothing |
 //! | 16 | why it was lost; empty when it was not |
 //! | 4 | CRC-32 of all before |
 //!
@@ -25,7 +25,7 @@ const fn measure(name: &'static str, about: &'static str) -> Measure {
 }
 
 /// Every measure, in the order of the columns.
-pub const MEASURES: [Measure; 20] = [
+pub const MEASURES: [Measure; 22] = [
     measure("altitude_m", "true altitude less setpoint, rms"),
     measure("altitude_most_m", "true altitude less setpoint, most"),
     measure("lateral_m", "true place less setpoint, rms, where it is held"),
@@ -49,6 +49,8 @@ pub const MEASURES: [Measure; 20] = [
         "from a step until inside its band for good, the longest; watched so long where it never was",
     ),
     measure("steady_m", "true altitude less target at the end of a step, mean of a second, the most"),
+    measure("quiet_exclusions", "healthy sensors that counted for almost nothing longer than 1 s, announced or not"),
+    measure("quiet_longest_s", "the longest that a healthy sensor counted for almost nothing"),
 ];
 
 /// Measures of an experiment whose identity does not name them.
@@ -107,6 +109,8 @@ impl Row {
                 outcome.overshoot_percent,
                 outcome.settling_s,
                 outcome.steady_m,
+                outcome.quiet_exclusions as f64,
+                outcome.quiet_longest_s,
             ]
             // One NaN: which bits a processor gives it is nobody's result.
             .map(|value| if value.is_nan() { f64::NAN } else { value }),
@@ -218,11 +222,11 @@ mod tests {
 
     #[test]
     fn a_row_of_another_version_is_read_by_the_names_of_its_measures() {
-        let row = Row::new(7, &Outcome { altitude_m: 0.1, steady_m: 4.0, ..Outcome::default() });
+        let row = Row::new(7, &Outcome { altitude_m: 0.1, quiet_longest_s: 4.0, ..Outcome::default() });
         let names = names(&MEASURES);
         let swapped: Vec<_> = names.iter().rev().cloned().collect();
         let read = Row::decode(&row.encode(), &places(&swapped)).unwrap();
-        assert_eq!((read.value("altitude_m"), read.value("steady_m")), (4.0, 0.1));
+        assert_eq!((read.value("altitude_m"), read.value("quiet_longest_s")), (4.0, 0.1));
         // One measure fewer, and one that nobody knows any more.
         let mut older = row.encode()[..4 + 8 * 2].to_vec(); // index, altitude_m, and another
         older.extend([0; LOST_BYTES]);

@@ -6,6 +6,7 @@
 
 use arrayvec::ArrayVec;
 use nalgebra::{UnitQuaternion, Vector3};
+use plumbline_proto::ids::SensorId;
 
 use super::attitude_ekf::AttitudeEkfEstimator;
 use super::complementary::Complementary;
@@ -113,6 +114,16 @@ impl<'a> Judge<'a> {
         match self {
             Self::Secure(secure) => secure.isolation(),
             Self::Lanes(lanes) => lanes.isolation(),
+        }
+    }
+
+    /// How much `sensor` counts beside the one of its kind that counts most, 0..1, announced as excluded or not; 1 of what it does
+    /// not judge.
+    pub fn counts(self, sensor: SensorId) -> f64 {
+        match self {
+            Self::Secure(secure) if secure.isolation().excluded().contains(sensor) => 0.0,
+            Self::Secure(_) => 1.0,
+            Self::Lanes(lanes) => lanes.counts(sensor),
         }
     }
 

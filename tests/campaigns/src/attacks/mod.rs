@@ -5,8 +5,9 @@
 //! less the setpoint, from the onset to the end; e\* is that of the shipped EKF in the same flight without the attack, and in
 //! `harsh`, where that EKF loses its own, of the lanes. A lost flight counts among the lost and not among the errors; where the attack is beyond what can be borne, one that flies away,
 //! falls, or stops in the air. An operator keeps the vehicle over its place by eye, 0.3 s late. `--flights N` flies so many
-//! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row, the `curves`, the `consistency` or the `roc`, `--quick` a tenth.
+//! of each row, `--seed-base N` begins elsewhere, `--only NAME` flies one row, the `table` of all rows, the `curves`, the `consistency` or the `roc`, `--quick` a tenth.
 
+mod beside;
 mod case;
 mod consistency;
 mod roc;
@@ -25,11 +26,12 @@ use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Axis, Plot, Report, ReportError, Series};
 use serde_json::json;
 
+use beside::{Told, no_better};
 use case::{Case, Pilot};
 
 /// What is beyond the bound is declared within this, s.
 const DECLARED_S: f64 = 1.0;
-/// A healthy sensor may be excluded so long, s; longer in this part of the flights at most, where nobody is attacked.
+/// A healthy sensor may be excluded, or count for almost nothing, so long, s; longer in this part of the flights at most, where nobody is attacked.
 const FALSE_S: f64 = 1.0;
 const FALSE_PART: f64 = 0.05;
 
@@ -40,7 +42,8 @@ pub fn run() -> Result<(), ReportError> {
         "{} flights of each row from seed {}, free and on strings by turns, steps of altitude throughout. Error: true \
          altitude less setpoint, rms from the onset to the end of the flight. e* is the shipped EKF's in the same flight \
          without the attack; in harsh, where the shipped EKF loses its own, it is the lanes' own without the attack. Median, \
-         95th percentile and worst are of flights that were not lost.",
+         95th percentile and worst are of flights that were not lost. False: a healthy sensor announced as excluded; quiet: one \
+         that counted for less than a hundredth of the one of its kind that counted most, without that.",
         effort.flights, effort.seed_base
     ));
     table(&mut report, &effort)?;
@@ -82,11 +85,14 @@ fn fly_all(case: &Case, effort: &Effort, pilots: &[Pilot]) -> Vec<Flown> {
 
 fn table(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Altitude and tilt under drawn attacks");
-    let mut rows = Vec::new();
-    for case in Case::ALL.iter().filter(|case| effort.wants(case.name)) {
+    let (mut rows, mut all) = (Vec::new(), Vec::new());
+    let whole = effort.wants("table");
+    for case in Case::ALL.iter().filter(|case| effort.wants(case.name) || whole) {
         let flown = fly_all(case, effort, case.pilots);
         for (p, pilot) in case.pilots.iter().enumerate() {
-            rows.push(row(report, case, *pilot, effort, flown.iter().map(|f| (&f.clean, &f.by[p]))));
+            let (cells, told) = row(report, case, *pilot, effort, flown.iter().map(|f| (&f.clean, &f.by[p])));
+            rows.push(cells);
+            all.push(told);
         }
     }
     if rows.is_empty() {
@@ -110,10 +116,18 @@ fn table(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         "delay, s",
         "missed",
         "false > 1 s",
+        "quiet > 1 s",
         "declared",
         "outside its bound",
     ];
-    report.table("attacks", "Drawn attacks", &headers, &rows)
+    report.table("attacks", "Drawn attacks", &headers, &rows)?;
+    for pilot in Pilot::ALL.into_iter().filter(|pilot| *pilot != Pilot::LANES) {
+        if let Some(sentence) = no_better(&all, pilot) {
+            report.paragraph(&sentence);
+            eprintln!("{sentence}");
+        }
+    }
+    Ok(())
 }
 
 fn row<'a>(
@@ -122,7 +136,7 @@ fn row<'a>(
     pilot: Pilot,
     effort: &Effort,
     flights: impl Iterator<Item = (&'a Outcome, &'a Outcome)> + Clone,
-) -> Vec<String> {
+) -> (Vec<String>, Told) {
     let comparable = flights.clone().filter(|(clean, o)| clean.lost.is_none() && o.lost.is_none());
     let altitude: Vec<f64> = comparable.clone().map(|(clean, o)| o.altitude_m / clean.altitude_m).collect();
     let tilt: Vec<f64> = comparable.clone().map(|(clean, o)| o.tilt_rad / clean.tilt_rad).collect();
@@ -135,7 +149,14 @@ fn row<'a>(
     let kept_mm = all.iter().filter(|o| o.lost.is_none()).map(|o| 1e3 * o.altitude_m).collect::<Vec<_>>();
     let delays: Vec<f64> = all.iter().flat_map(|o| o.delays_s.iter().copied()).collect();
     let missed: usize = all.iter().map(|o| o.missed).sum();
-    let falsely = all.iter().filter(|o| o.false_longest_s > FALSE_S).count();
+    let announced = |o: &&&Outcome| o.false_longest_s > FALSE_S;
+    let quietly = |o: &&&Outcome| o.quiet_longest_s > FALSE_S;
+    let falsely = all.iter().filter(announced).count();
+    // Not announced, or not for as long.
+    let quiet = all.iter().filter(|o| quietly(o) && !announced(o)).count();
+    let quiet_longest_s = worst(&all.iter().map(|o| o.quiet_longest_s).collect::<Vec<_>>());
+    let quiet_seeds: Vec<u64> =
+        (effort.seed_base..).zip(&all).filter(|(_, o)| quietly(o)).map(|(seed, _)| seed).collect();
     let declared: Vec<f64> = all.iter().filter_map(|o| o.declared_s).collect();
     let of = |values: &[f64]| [median(values), percentile(values, 0.95), worst(values)];
     let (altitude3, tilt3, altitude_mm) = (of(&altitude), of(&tilt), of(&kept_mm));
@@ -147,9 +168,11 @@ fn row<'a>(
     let held = beyond || within(altitude3, case.altitude) && within(tilt3, case.tilt);
     let bound: Vec<f64> = all.iter().map(|o| o.outside_bound).filter(|part| part.is_finite()).collect();
     let outside = bound.iter().filter(|part| **part > 0.0).count();
+    let outside_seeds: Vec<u64> =
+        (effort.seed_base..).zip(&all).filter(|(_, o)| o.outside_bound > 0.0).map(|(seed, _)| seed).collect();
     let attacked = case.attacked != Attacked::None;
-    let quiet = attacked || falsely as f64 <= FALSE_PART * all.len() as f64;
-    let holds = judged.then_some(held && told && quiet && outside == 0 && lost_of_hundred <= case.lost);
+    let spared = attacked || (falsely + quiet) as f64 <= FALSE_PART * all.len() as f64;
+    let holds = judged.then_some(held && told && spared && outside == 0 && lost_of_hundred <= case.lost);
     let clean_mm: Vec<f64> = flights.map(|(clean, _)| 1e3 * clean.altitude_m).collect();
     let name = pilot.name();
     let more = json!({
@@ -158,10 +181,11 @@ fn row<'a>(
         "tilt": tilt3, "tilt_limits": case.tilt, "lost": lost, "lost_why": why, "lost_seeds": lost_seeds, "e_star_mm": median(&clean_mm), "e_star_of": case.against.name(),
         "most_mm": 1e3 * worst(&all.iter().map(|o| o.altitude_most_m).collect::<Vec<_>>()),
         "delay_s": [median(&delays), percentile(&delays, 0.95)], "missed": judged.then_some(missed),
-        "flights_with_false_exclusion": judged.then_some(falsely),
+        "flights_with_false_exclusion": judged.then_some(falsely), "flights_with_quiet_exclusion": judged.then_some(quiet),
+        "quiet_longest_s": judged.then_some(quiet_longest_s), "quiet_seeds": judged.then_some(quiet_seeds),
         "declared": declared.len(), "declared_within_s": worst(&declared),
         "nees": of(&all.iter().map(|o| o.nees).filter(|nees| nees.is_finite()).collect::<Vec<_>>()),
-        "outside_bound": worst(&bound), "flights_outside_bound": judged.then_some(outside), "holds": holds,
+        "outside_bound": worst(&bound), "flights_outside_bound": judged.then_some(outside), "outside_seeds": judged.then_some(outside_seeds), "holds": holds,
     });
     report.value(&format!("{}/{name}", case.name), altitude3[0], "e*", more);
     let number = |value: f64| if value.is_finite() { format!("{value:.2}") } else { "–".into() };
@@ -169,9 +193,10 @@ fn row<'a>(
     cells.extend(altitude3.iter().chain(&altitude_mm).chain(&tilt3).map(|value| number(*value)));
     cells.extend([lost.to_string(), all.len().to_string(), number(median(&delays))]);
     cells.extend([if attacked && judged { missed.to_string() } else { "–".into() }]);
-    cells.extend([if judged { falsely.to_string() } else { "–".into() }, declared.len().to_string()]);
+    cells.extend([falsely, quiet].map(|flights| if judged { flights.to_string() } else { "–".into() }));
+    cells.push(declared.len().to_string());
     cells.push(if judged { outside.to_string() } else { "–".into() });
-    cells
+    (cells, Told { case: case.name, pilot, altitude: altitude3, lost })
 }
 
 /// A quantity whose attack grows: sensor, channel, name, unit, sizes.

@@ -44,7 +44,9 @@ mod thrust;
 mod vote;
 
 use nalgebra::Vector3;
+use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
+use plumbline_proto::v1::SensorKind;
 
 use self::evidence::Evidence;
 use self::heights::Heights;
@@ -207,6 +209,19 @@ impl Lanes {
     /// Weight of each lane; they sum to one.
     pub fn weights(&self) -> [f64; MAX_IMUS] {
         self.fused.mixture.weights
+    }
+
+    /// How much `sensor` counts beside the one of its kind that counts most, 0..1: an IMU by the weight of its lane, a laser by its
+    /// own. 1 of every other sensor, and of all until there is an estimate.
+    pub fn counts(&self, sensor: SensorId) -> f64 {
+        let index = usize::from(sensor.instance.saturating_sub(1));
+        let weights = self.weights();
+        let most = weights.into_iter().fold(0.0, f64::max);
+        match sensor.kind {
+            SensorKind::Imu if most > 0.0 => weights.get(index).map_or(1.0, |weight| weight / most),
+            SensorKind::Height if self.start.is_none() => self.judges.heights.weight(index),
+            _ => 1.0,
+        }
     }
 
     /// What is measured of the accelerometers along z: the noise is the largest of the lanes in use.

@@ -113,6 +113,28 @@ fn an_imu_that_reads_upside_down_moves_nothing_however_long() {
 }
 
 #[test]
+fn what_is_excluded_counts_for_almost_nothing_and_the_rest_does_not() {
+    let counts = |flying: &Flying, kind, of: u8| {
+        (1..=of).map(|i| flying.lanes.counts(SensorId::new(kind, i))).collect::<Vec<_>>()
+    };
+    let mut flying = Flying::new(HOVER, 7, false);
+    assert!(counts(&flying, SensorKind::Imu, 4).into_iter().all(|counts| counts == 1.0), "no estimate yet");
+    flying.until(10.0, |_| {});
+    for kind in [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer] {
+        assert!(counts(&flying, kind, 3).into_iter().all(|counts| counts > 0.1), "{kind:?}");
+    }
+    // A step of a laser is refused before anything is announced.
+    flying.until(10.25, |frame| frame.heights[2].iter_mut().for_each(|s| s.height_m += 0.4));
+    let heights = counts(&flying, SensorKind::Height, 3);
+    assert!(flying.announced().is_empty() && heights[2] == 0.0 && heights[0] > 0.1, "{heights:?}");
+    let mut flying = Flying::new(HOVER, 7, false);
+    flying.until(10.0, |_| {});
+    flying.until(14.0, |frame| frame.imus[1].iter_mut().for_each(|s| s.accel_mps2.z += 5.0));
+    let imus = counts(&flying, SensorKind::Imu, 4);
+    assert!(imus[1] < 0.01 && [0, 2, 3].iter().all(|i| imus[*i] > 0.1), "{imus:?}");
+}
+
+#[test]
 fn an_imu_that_was_silent_does_not_bring_back_the_yaw_it_had_then() {
     let mut flying = Flying::new(Course { yaw_radps: 0.4, ..HOVER }, 9, false);
     let yaw_off = |flying: &Flying| {
