@@ -16,8 +16,8 @@ const WHAT: u64 = 0xa77a_c4ed;
 const WHEN: u64 = 0x0045_e700;
 /// The smallest that is added, as a part of the most that the vehicle allows: an attack in the noise is among them.
 const SMALLEST: f64 = 0.004;
-/// The kinds that are drawn.
-pub const KINDS: [Kind; 10] = [
+/// The kinds that are drawn: every one. A rotor's command has no stamp to shift, the last.
+pub const KINDS: [Kind; 12] = [
     Kind::Zero,
     Kind::Bias,
     Kind::Ramp,
@@ -28,6 +28,8 @@ pub const KINDS: [Kind; 10] = [
     Kind::Delay,
     Kind::Dropout,
     Kind::SignFlip,
+    Kind::Parabola,
+    Kind::TimeShift,
 ];
 
 /// Which sensors are attacked.
@@ -208,7 +210,8 @@ fn first(seed: u64, count: usize) -> (f64, f64) {
 
 /// Any attack on `sensor` that the vehicle takes: kind, channel, size, sign, onset and duration.
 fn drawn(dice: &mut Dice, seed: u64, id: u32, sensor: SensorId) -> Attack {
-    let kind = KINDS[pick(dice, KINDS.len())];
+    let kinds = KINDS.len() - usize::from(sensor.kind == SensorKind::Rotor);
+    let kind = KINDS[pick(dice, kinds)];
     drawn_of(dice, seed, id, sensor, kind)
 }
 
@@ -228,7 +231,8 @@ fn drawn_of(dice: &mut Dice, seed: u64, id: u32, sensor: SensorId, kind: Kind) -
         Kind::Noise => most * SMALLEST.powf(dice.uniform()),
         Kind::Scale => between(dice, (-2.0, 3.0)),
         Kind::Replay => between(dice, (0.5, bounds.replay_max_s)),
-        Kind::Delay | Kind::TimeShift => between(dice, (0.05, bounds.delay_max_s)),
+        Kind::Delay => between(dice, (0.05, bounds.delay_max_s)),
+        Kind::TimeShift => sign(dice) * between(dice, (0.05, bounds.delay_max_s)),
         Kind::Dropout => between(dice, (0.2, 1.0)),
         Kind::Zero | Kind::Freeze | Kind::SignFlip => 0.0,
     };
@@ -239,6 +243,9 @@ fn drawn_of(dice: &mut Dice, seed: u64, id: u32, sensor: SensorId, kind: Kind) -
 
 #[cfg(test)]
 mod tests {
+    use plumbline_agent::attack::{Injector, Schedule};
+    use plumbline_proto::time::FlightTime;
+
     use super::*;
 
     #[test]
@@ -249,6 +256,24 @@ mod tests {
         let attacked: Vec<_> = (0..200).flat_map(|seed| Attacked::One.attacks(&sensors, seed)).collect();
         assert!(attacked.iter().all(|attack| sensors.contains(&attack.sensor)));
         assert!(sensors.iter().all(|sensor| attacked.iter().any(|attack| attack.sensor == *sensor)), "{attacked:?}");
+    }
+
+    #[test]
+    fn every_kind_is_drawn_and_every_vehicle_takes_what_is() {
+        let now = FlightTime(0);
+        for kind in [SensorKind::Imu, SensorKind::Height, SensorKind::Barometer, SensorKind::Rotor] {
+            let sensors = [1, 2, 3, 4].map(|instance| SensorId::new(kind, instance));
+            let drawn: Vec<_> = (0..400).flat_map(|seed| Attacked::Several(kind, 1).attacks(&sensors, seed)).collect();
+            for attack in &drawn {
+                let schedule = Schedule { attacks: [*attack].into_iter().collect(), ..Schedule::default() };
+                let taken = Injector::new(Bounds::default(), true, &sensors).upload(&schedule, now);
+                assert!(taken.is_ok(), "{attack:?}: {taken:?}");
+            }
+            for one in KINDS {
+                let stamped = one != Kind::TimeShift || kind != SensorKind::Rotor;
+                assert_eq!(drawn.iter().any(|attack| attack.kind == one), stamped, "{one:?} of {kind:?}");
+            }
+        }
     }
 
     #[test]
