@@ -64,5 +64,5 @@ fn an_estimator_that_does_not_run_is_refused_in_flight() {
     let mut flown = Flown::new(&scenario("altitude_step"));
     flown.until(6.0);
     let ack = flown.command(Command::SelectEstimator(EstimatorKind::Ukf));
-    assert!(!ack.accepted && ack.reason.contains("Ukf"), "{}", ack.reason);
+    assert!(!ack.accepted && ack.reason.contains("UKF"), "{}", ack.reason);
 }

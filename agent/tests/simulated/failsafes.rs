@@ -351,7 +351,7 @@ fn orders_that_do_not_fit_are_refused_with_their_values() {
         ),
         (Command::Arm, "already armed"),
         (Command::ReleaseCut, "no cut is latched"),
-        (Command::SelectEstimator(plumbline_agent::types::EstimatorKind::Ukf), "Ukf does not run"),
+        (Command::SelectEstimator(plumbline_agent::types::EstimatorKind::Ukf), "UKF does not run"),
     ] {
         let ack = f.command(command.clone());
         assert!(!ack.accepted && ack.reason.contains(words), "{command:?}: {}", ack.reason);

@@ -236,7 +236,7 @@ fn an_estimator_that_does_not_know_the_altitude_flies_no_mode_that_needs_it() {
     assert!(f.command(Command::SelectEstimator(EstimatorKind::Vqf)).accepted);
     f.tick();
     let arm = f.command(Command::Arm);
-    assert!(!arm.accepted && arm.reason.contains("altitude: not known to Vqf"), "{}", arm.reason);
+    assert!(!arm.accepted && arm.reason.contains("altitude: not known to VQF"), "{}", arm.reason);
     assert!(f.command(Command::SelectEstimator(EstimatorKind::EkfBias)).accepted);
     f.until(12.0);
     let refused = f.command(Command::SelectEstimator(EstimatorKind::Vqf));
