@@ -70,6 +70,7 @@ fn reason(reason: FlagReason) -> &'static str {
         FlagReason::Window => "in the window",
         FlagReason::Drift => "drifting",
         FlagReason::Stuck => "stuck",
+        FlagReason::Stamp => "stamped as of another time",
     }
 }
 

@@ -68,16 +68,21 @@ impl Lanes {
             }
         }
         let contradicted = self.contradicted();
-        let (judges, announced) = (&self.judges, &self.fused.announced);
+        let (judges, announced, stamps) = (&self.judges, &self.fused.announced, self.slots.stamps());
+        let stamped = |impossible: bool| impossible.then_some(FlagReason::Stamp);
         self.isolation.announce(slot.end(), contradicted, |sensor| {
             let i = usize::from(sensor.instance.saturating_sub(1));
             let (window_ratio, drift_ratio, reason) = match sensor.kind {
                 SensorKind::Imu => {
                     let stuck = judges.evidence.is_stuck(i);
                     let reason = if stuck { FlagReason::Stuck } else { FlagReason::Window };
-                    (judges.evidence.ratio(i), votes[i], announced[i].then_some(reason))
+                    let reason = announced[i].then_some(reason);
+                    (judges.evidence.ratio(i), votes[i], reason.or(stamped(stamps.excludes_imu(i, slot.end()))))
                 }
-                _ => (judges.heights.ratio(i), 0.0, judges.heights.is_excluded(i).then_some(FlagReason::Window)),
+                _ => {
+                    let reason = judges.heights.is_excluded(i).then_some(FlagReason::Window);
+                    (judges.heights.ratio(i), 0.0, reason.or(stamped(stamps.excludes_height(i, slot.end()))))
+                }
             };
             let stuck = reason == Some(FlagReason::Stuck);
             (Evidence { window_ratio, drift_ratio, stuck, ..Evidence::default() }, reason)

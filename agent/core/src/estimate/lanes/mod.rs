@@ -37,6 +37,7 @@ mod rates;
 mod rows;
 mod slot;
 mod split;
+mod stamps;
 mod start;
 #[cfg(test)]
 mod tests;

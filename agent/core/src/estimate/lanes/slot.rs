@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
 use super::integral::{Integral, Six};
+use super::stamps::Stamps;
 use super::{HORIZON_US, LANES, PerLane, SLOT_US};
 use crate::estimate::median;
 use crate::sensor::{GnssSample, MAX_BAROMETERS, MAX_HEIGHTS, MocapPoseSample, SensorFrame};
@@ -63,6 +64,7 @@ impl Open {
 #[derive(Debug, Clone)]
 pub struct Slots {
     integrals: PerLane<Integral>,
+    stamps: Stamps,
     open: [Open; OPEN],
     /// Number of the next to be closed; `None` before the first frame.
     next: Option<u64>,
@@ -73,6 +75,7 @@ impl Slots {
     pub fn new() -> Self {
         Self {
             integrals: std::array::from_fn(|_| Integral::new()),
+            stamps: Stamps::default(),
             open: std::array::from_fn(|_| Open::new(0)),
             next: None,
         }
@@ -81,6 +84,11 @@ impl Slots {
     /// The integrals of the IMUs.
     pub fn integrals(&self) -> &PerLane<Integral> {
         &self.integrals
+    }
+
+    /// Who tells times that cannot be.
+    pub fn stamps(&self) -> &Stamps {
+        &self.stamps
     }
 
     /// The open slot of a sample of `time`: its own, or the oldest where that is closed already.
@@ -99,9 +107,9 @@ impl Slots {
                 .for_each(|number| self.open[(number % OPEN as u64) as usize] = Open::new(number));
         }
         for (i, sample) in frame.imus.iter().enumerate() {
-            let Some(sample) = sample else { continue };
+            let Some(sample) = sample.filter(|sample| self.stamps.imu(i, sample.time, frame.time)) else { continue };
             if let Some(integral) = self.integrals.get_mut(i) {
-                integral.take(sample);
+                integral.take(&sample);
             }
             let field = sample.mag_ut.filter(|field| field.iter().all(|x| x.is_finite()));
             if let Some((field, (sum, count))) = field.zip(self.of(sample.time).and_then(|open| open.fields.get_mut(i)))
@@ -112,23 +120,32 @@ impl Slots {
         }
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|sample| sample.height_m.is_finite()) else { continue };
+            if !self.stamps.height(i, sample.time, frame.time) {
+                continue;
+            }
             if let Some(place) = self.of(sample.time).and_then(|open| open.slot.heights.get_mut(i)) {
                 *place = Some((sample.time, sample.height_m));
             }
         }
         for (i, sample) in frame.barometers.iter().enumerate() {
             let Some(sample) = sample.filter(|sample| sample.pressure_pa.is_finite()) else { continue };
+            if !Stamps::elsewhere(sample.time, frame) {
+                continue;
+            }
             if let Some(place) = self.of(sample.time).and_then(|open| open.slot.barometers.get_mut(i)) {
                 *place = Some(sample);
             }
         }
         let sound = |sample: &MocapPoseSample| {
-            sample.position_enu_m.iter().chain(sample.world_from_body.coords.iter()).all(|x| x.is_finite())
+            Stamps::elsewhere(sample.time, frame)
+                && sample.position_enu_m.iter().chain(sample.world_from_body.coords.iter()).all(|x| x.is_finite())
         };
         if let Some((pose, open)) = frame.mocap_pose.filter(sound).and_then(|p| Some((p, self.of(p.time)?))) {
             open.slot.pose = Some(pose);
         }
-        let finite = |sample: &GnssSample| sample.position_enu_m.iter().all(|x| x.is_finite());
+        let finite = |sample: &GnssSample| {
+            Stamps::elsewhere(sample.time, frame) && sample.position_enu_m.iter().all(|x| x.is_finite())
+        };
         if let Some((gnss, open)) = frame.gnss.filter(finite).and_then(|g| Some((g, self.of(g.time)?))) {
             open.slot.gnss = Some(gnss);
         }

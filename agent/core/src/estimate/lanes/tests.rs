@@ -113,6 +113,27 @@ fn an_imu_that_reads_upside_down_moves_nothing_however_long() {
 }
 
 #[test]
+fn whoever_tells_times_that_cannot_be_is_excluded_and_moves_nothing() {
+    let shifted = |time: &mut FlightTime, by_us: i64| time.0 = time.0.saturating_add_signed(by_us);
+    for by_us in [-1_500_000, -500_000, 500_000, 1_500_000] {
+        let mut flying = Flying::new(LIVELY, 8, false);
+        flying.until(10.0, |_| {});
+        let (altitude_m, _) = flying.until(20.0, |frame| {
+            frame.heights[1].iter_mut().for_each(|sample| shifted(&mut sample.time, by_us));
+        });
+        assert_eq!(flying.announced(), one(SensorKind::Height, 2), "{by_us} µs");
+        assert!(altitude_m < 0.06, "height, {by_us} µs: {altitude_m} m");
+        flying.until(22.0, |_| {});
+        assert!(flying.announced().is_empty(), "taken back");
+        let (altitude_m, tilt) = flying.until(32.0, |frame| {
+            frame.imus[1].iter_mut().for_each(|sample| shifted(&mut sample.time, by_us));
+        });
+        assert_eq!(flying.announced(), one(SensorKind::Imu, 2), "{by_us} µs");
+        assert!(altitude_m < 0.06 && tilt < 3f64.to_radians(), "IMU, {by_us} µs: {altitude_m} m, {tilt} rad");
+    }
+}
+
+#[test]
 fn what_is_excluded_counts_for_almost_nothing_and_the_rest_does_not() {
     let counts = |flying: &Flying, kind, of: u8| {
         (1..=of).map(|i| flying.lanes.counts(SensorId::new(kind, i))).collect::<Vec<_>>()
