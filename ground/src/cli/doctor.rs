@@ -116,8 +116,18 @@ fn port(what: &'static str, address: SocketAddr, option: &str, bound: std::io::R
 
 fn folder(data: &Path) -> Finding {
     let probe = data.join(".doctor");
+    let trouble = |error: std::io::Error| {
+        let text = format!("{}: {error}; let this user write there, or choose another: --data", data.display());
+        (Level::Failure, "data folder", text)
+    };
+    // Made here it would belong to whoever looks, who may be root, and not to the ground.
+    if !data.try_exists().unwrap_or(true) {
+        return match can_be_made(data) {
+            Ok(()) => (Level::Ok, "data folder", format!("{} will be made at the start", data.display())),
+            Err(error) => trouble(error),
+        };
+    }
     let written = || {
-        std::fs::create_dir_all(data)?;
         let mut file = std::fs::File::create(&probe)?;
         file.write_all(b"plumbline")?;
         file.sync_all()?;
@@ -125,11 +135,19 @@ fn folder(data: &Path) -> Finding {
     };
     match written() {
         Ok(()) => (Level::Ok, "data folder", format!("{} can be written", data.display())),
-        Err(error) => {
-            let text = format!("{}: {error}; let this user write there, or choose another: --data", data.display());
-            (Level::Failure, "data folder", text)
-        }
+        Err(error) => trouble(error),
     }
+}
+
+/// May this user make a folder that is not there? What is there of its path says so.
+fn can_be_made(folder: &Path) -> std::io::Result<()> {
+    let path = std::path::absolute(folder)?;
+    let Some(there) = path.ancestors().find(|part| part.exists()) else { return Ok(()) };
+    if !there.is_dir() {
+        return Err(ErrorKind::NotADirectory.into());
+    }
+    // A file without a name: it needs the same permission, and leaves nothing.
+    tempfile::tempfile_in(there).map(drop)
 }
 
 fn disk(settings: &Settings) -> Finding {
@@ -323,6 +341,12 @@ mod tests {
         let well = well(folder.path());
         let findings = examine(&well);
         assert!(findings.iter().all(|(level, ..)| *level != Level::Failure), "{findings:?}");
+        let there: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
+        assert!(there.is_empty(), "looking makes nothing: {there:?}");
+        assert!(said(&well, "data folder").1.contains("will be made"));
+        std::fs::create_dir(&well.data).unwrap();
+        assert!(said(&well, "data folder").1.contains("can be written"));
+        assert_eq!(std::fs::read_dir(&well.data).unwrap().count(), 0);
 
         let taken = TcpListener::bind(any).unwrap();
         let file = folder.path().join("file");
