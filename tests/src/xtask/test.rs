@@ -188,6 +188,9 @@ fn cargo_test(workspace: &Workspace, options: &Options, tally: &mut Tally) -> Op
             Err(error) => eprintln!("xtask: {error}"),
         }
     }
+    if let Err(error) = tools::octave() {
+        eprintln!("xtask: {error}");
+    }
     // What is absent is told here by the tests that wanted it.
     let absent = workspace.target.join("skipped.txt");
     if tally.check("list of skipped tests", std::fs::write(&absent, "")).is_some() {

@@ -81,6 +81,7 @@ pub fn fetch(workspace: &Workspace, with_browser: bool) {
     for tool in [nats_server, postgres, faketime, promtool] {
         let _ = tool(workspace);
     }
+    let _ = octave();
     if with_browser {
         let _ = browser(workspace);
     }
@@ -207,6 +208,14 @@ pub fn plumbline(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
 /// What is missing and how to get it.
 pub fn promtool(workspace: &Workspace) -> Result<PathBuf, XtaskError> {
     taken_out(workspace, "prometheus", "usr/bin/promtool")
+}
+
+/// Octave without its windows; with what it needs it takes 263 MB.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn octave() -> Result<PathBuf, XtaskError> {
+    program(&["octave-cli"], "octave")
 }
 
 /// `nats-server`, of the Debian package of that name.
