@@ -24,7 +24,7 @@ pub struct ExportArguments {
     /// Until there, s.
     #[arg(long, default_value_t = f64::INFINITY)]
     to_s: f64,
-    /// Names of columns with commas between them, or their beginnings up to a dot [default: all].
+    /// Names of columns with commas between them, or their beginnings up to a dot [default: all but residuals_N].
     #[arg(long, value_delimiter = ',')]
     columns: Vec<String>,
     /// At most so many rows a second; 0 for every control tick.

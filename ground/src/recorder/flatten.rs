@@ -3,14 +3,18 @@
 //!
 //! - A field is a column, named by its path: `setpoint.altitude_m`.
 //! - A repeated number is a column per element: `motor_command[0]`.
-//! - A repeated message (residuals, checks) is a row per element.
+//! - A repeated message (residuals, checks) is a row per element; or, of those that name a sensor, columns per sensor:
+//!   `height_2.height.innovation_m`, see [`Table::by_sensor`].
 //! - An absent field is an empty cell; an enum is its name.
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use mcap::Channel;
 use plumbline_proto::descriptor::FILE_DESCRIPTOR_SET;
-use prost_reflect::{DescriptorPool, DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, Value};
+use prost_reflect::{
+    DescriptorPool, DynamicMessage, FieldDescriptor, Kind, MessageDescriptor, ReflectMessage as _, Value,
+};
 
 /// Messages nested deeper than this are left out: a schema may be recursive.
 const MAX_DEPTH: usize = 6;
@@ -19,6 +23,10 @@ const MAX_DEPTH: usize = 6;
 const MAX_FIELDS: usize = 20_000;
 /// Most columns of one repeated field: a scan has 682 ranges.
 const MAX_WIDTH: usize = 1024;
+/// Most sensors, or channels of them, that have columns of their own in one repeated message.
+const MAX_SENSORS: usize = 512;
+/// By which elements of a repeated message are told apart, in the order of their names.
+const TELLING: [&str; 3] = ["sensor", "instance", "channel"];
 
 #[derive(Debug, Clone)]
 enum Column {
@@ -26,6 +34,49 @@ enum Column {
     List { width: usize },
     Nested(Vec<(FieldDescriptor, Column)>),
     Rows(Vec<(FieldDescriptor, Column)>),
+    BySensor { inner: Vec<(FieldDescriptor, Column)>, found: BTreeMap<Vec<i64>, Element> },
+}
+
+/// What elements of a repeated message with the same sensor, instance and channel are called.
+#[derive(Debug, Clone)]
+struct Element {
+    /// `height_2.height`, or `height` of what has no instance.
+    name: String,
+    /// Ending of the names of what is in the unit of the channel: `_m`.
+    unit: &'static str,
+}
+
+impl Element {
+    fn of(message: &DynamicMessage) -> (Vec<i64>, Self) {
+        let cells = TELLING.map(|field| {
+            let field = message.descriptor().get_field_by_name(field)?;
+            Some(cell(&field, message.get_field(&field).as_ref()))
+        });
+        let key = cells.iter().flatten().map(Cell::integer).collect();
+        let [sensor, instance, channel] = cells.map(|cell| cell.map(|cell| cell.to_string()));
+        let joined =
+            |sign: &str, part: &Option<String>| part.as_ref().map_or_else(String::new, |p| format!("{sign}{p}"));
+        let name = sensor.unwrap_or_default() + &joined("_", &instance) + &joined(".", &channel);
+        (key, Self { name, unit: unit_of(channel.as_deref().unwrap_or_default()) })
+    }
+
+    /// Name of one of its columns.
+    fn column(&self, field: &str) -> String {
+        let unit = if ["innovation", "sigma", "gate"].contains(&field) { self.unit } else { "" };
+        format!("{}.{field}{unit}", self.name)
+    }
+}
+
+/// The unit of a channel of residuals, as names end by it: see `estimate.proto`.
+fn unit_of(channel: &str) -> &'static str {
+    match channel.split('_').next().unwrap_or_default() {
+        "gyro" => "_radps",
+        "accel" => "_mps2",
+        "velocity" => "_mps",
+        "heading" | "roll" | "pitch" | "yaw" => "_rad",
+        "x" | "y" | "z" | "height" | "pressure" | "range" => "_m",
+        _ => "",
+    }
 }
 
 /// What a column holds.
@@ -103,6 +154,37 @@ impl Table {
         let schema = channel.schema.as_ref().filter(|s| s.encoding == "protobuf")?;
         let pool = DescriptorPool::decode(schema.data.as_ref()).ok()?;
         Self::of_message(pool.get_message_by_name(&schema.name)?)
+    }
+
+    /// The same with one row for each message: elements of its repeated messages that name a sensor have columns of their own, as soon
+    /// as they are [measured](Self::measure); other repeated messages have none.
+    pub(super) fn by_sensor(channel: &Channel<'_>) -> Option<Self> {
+        let schema = channel.schema.as_ref().filter(|s| s.encoding == "protobuf")?;
+        let pool = DescriptorPool::decode(schema.data.as_ref()).ok()?;
+        let message = pool.get_message_by_name(&schema.name)?;
+        let mut left = MAX_FIELDS;
+        let mut found = Vec::new();
+        for field in message.fields() {
+            let (Kind::Message(inner), true) = (field.kind(), field.is_list()) else { continue };
+            if inner.get_field_by_name("sensor").is_some() {
+                let inner = columns(&inner, 1, &mut left)?.into_iter();
+                let inner = inner.filter(|(field, _)| !TELLING.contains(&field.name())).collect();
+                found.push((field, Column::BySensor { inner, found: BTreeMap::new() }));
+            }
+        }
+        let own = columns(&message, 0, &mut left)?.into_iter();
+        let columns = own.filter(|(field, _)| !(field.is_list() && matches!(field.kind(), Kind::Message(_))));
+        Some(Self { message, columns: columns.chain(found).collect() })
+    }
+
+    /// Which of its columns belong to one sensor: a message without that sensor says nothing of them.
+    pub(super) fn of_sensors(&self) -> Vec<bool> {
+        let width = |(field, column): &(FieldDescriptor, Column)| {
+            let mut names = Vec::new();
+            header(&[(field.clone(), column.clone())], "", &mut names);
+            std::iter::repeat_n(matches!(column, Column::BySensor { .. }), names.len())
+        };
+        self.columns.iter().flat_map(width).collect()
     }
 
     /// The table for messages of a kind as this build knows them; `None` where it does not describe them.
@@ -237,6 +319,16 @@ fn measure(columns: &mut [(FieldDescriptor, Column)], message: &DynamicMessage) 
                     }
                 }
             }
+            Column::BySensor { inner, found } => {
+                for value in message.get_field(field).as_list().unwrap_or_default() {
+                    let Value::Message(nested) = value else { continue };
+                    measure(inner, nested);
+                    let (key, element) = Element::of(nested);
+                    if found.len() < MAX_SENSORS {
+                        found.entry(key).or_insert(element);
+                    }
+                }
+            }
         }
     }
 }
@@ -248,6 +340,7 @@ fn header(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<S
             Column::Scalar => names.push(name),
             Column::List { width } => names.extend((0..*width).map(|i| format!("{name}[{i}]"))),
             Column::Nested(inner) | Column::Rows(inner) => header(inner, &format!("{name}."), names),
+            Column::BySensor { inner, found } => by_sensor(inner, found, header, names),
         }
     }
 }
@@ -258,8 +351,21 @@ fn fields(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<S
         match column {
             Column::Scalar | Column::List { .. } => names.push(name),
             Column::Nested(inner) | Column::Rows(inner) => fields(inner, &format!("{name}."), names),
+            Column::BySensor { inner, found } => by_sensor(inner, found, fields, names),
         }
     }
+}
+
+/// Names of the columns that each element has.
+fn by_sensor(
+    inner: &[(FieldDescriptor, Column)],
+    found: &BTreeMap<Vec<i64>, Element>,
+    name: fn(&[(FieldDescriptor, Column)], &str, &mut Vec<String>),
+    names: &mut Vec<String>,
+) {
+    let mut own = Vec::new();
+    name(inner, "", &mut own);
+    names.extend(found.values().flat_map(|element| own.iter().map(|field| element.column(field))));
 }
 
 fn kinds(columns: &[(FieldDescriptor, Column)], types: &mut Vec<Type>) {
@@ -275,6 +381,7 @@ fn kinds(columns: &[(FieldDescriptor, Column)], types: &mut Vec<Type>) {
             Column::Scalar => types.push(kind),
             Column::List { width } => types.extend(std::iter::repeat_n(kind, *width)),
             Column::Nested(inner) | Column::Rows(inner) => kinds(inner, types),
+            Column::BySensor { inner, found } => found.values().for_each(|_| kinds(inner, types)),
         }
     }
 }
@@ -300,6 +407,16 @@ fn row(columns: &[(FieldDescriptor, Column)], message: Option<&DynamicMessage>, 
                     Some(Value::Message(nested)) => row(inner, Some(nested), index, cells),
                     _ => row(inner, None, index, cells),
                 }
+            }
+            Column::BySensor { inner, found } => {
+                let values = present.map(|m| m.get_field(field));
+                let values = values.as_deref().and_then(Value::as_list).unwrap_or_default();
+                let elements: BTreeMap<_, _> = values
+                    .iter()
+                    .filter_map(Value::as_message)
+                    .map(|element| (Element::of(element).0, element))
+                    .collect();
+                found.keys().for_each(|key| row(inner, elements.get(key).copied(), index, cells));
             }
         }
     }

@@ -78,6 +78,93 @@ async fn a_table_has_the_columns_the_range_and_the_rate_that_are_asked_for() {
     ground.stop().await;
 }
 
+/// GIVEN a flight with residuals, the secure estimator's account and a status WHEN a table is asked for THEN they have columns per sensor,
+/// with their units, and hold until their sensor is named again; residuals where they are asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn residuals_and_the_attacked_set_are_columns_of_the_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    let first = agent.begin("f1").await;
+    agent.fly(10).await;
+    let height = v1::Residual {
+        sensor: v1::SensorKind::Height as i32,
+        instance: 2,
+        channel: v1::Channel::Height as i32,
+        innovation: -0.25,
+        sigma: 0.1,
+        gate: 0.5,
+        ratio: 0.5,
+        accepted: true,
+    };
+    let gyro = v1::Residual {
+        sensor: v1::SensorKind::Imu as i32,
+        instance: 1,
+        channel: v1::Channel::GyroX as i32,
+        innovation: 0.01,
+        accepted: false,
+        ..height
+    };
+    let sensor = |flagged| v1::SecureSensor {
+        sensor: v1::SensorKind::Height as i32,
+        instance: 2,
+        present: true,
+        flagged,
+        reason: v1::FlagReason::Drift as i32,
+        drift_ratio: 1.5,
+        ..Default::default()
+    };
+    let margin = v1::SecureMargin { sensor: v1::SensorKind::Height as i32, present: 3, flagged: 1, margin: 1 };
+    let flight_id = "f1".to_owned();
+    let status = v1::Status { mode: v1::Mode::Hold as i32, battery_v: 11.5, flight_id, ..Default::default() };
+    agent.say(Kind::Residuals, 9, &v1::Residuals { residuals: vec![height, gyro], ..Default::default() }).await;
+    let secure = v1::SecureStatus {
+        sensors: vec![sensor(true)],
+        margins: vec![margin],
+        height_bound_m: Some(0.06),
+        ..Default::default()
+    };
+    agent.say(Kind::Secure, 0, &secure).await;
+    agent.say(Kind::Status, 0, &status).await;
+    agent.fly(10).await;
+    // From now on of the gyroscope alone: the height keeps what it had.
+    let later = v1::Residual { innovation: 0.02, ..gyro };
+    agent.say(Kind::Residuals, 9, &v1::Residuals { residuals: vec![later], ..Default::default() }).await;
+    agent.fly(10).await;
+    let last = agent.end("f1", first);
+    agent.send([last], false).await;
+    ground.wait_json("/api/v1/flights/f1", |f| f["completeness"] == "complete").await;
+
+    let asked = table(&ground, "rate_hz=0&columns=residuals_9,secure,status.mode,status.battery_v").await;
+    let column = |name: &str| {
+        let at = asked[0].iter().position(|column| column == name).unwrap_or_else(|| panic!("{name}: {:?}", asked[0]));
+        asked[1..].iter().map(|row| row[at].clone()).collect::<Vec<_>>()
+    };
+    let told = |name: &str| [0, 15, 29].map(|row| column(name)[row].clone());
+    assert_eq!(told("residuals_9.height_2.height.innovation_m"), ["", "-0.25", "-0.25"]);
+    assert_eq!(told("residuals_9.imu_1.gyro_x.innovation_radps"), ["", "0.01", "0.02"]);
+    assert_eq!(told("residuals_9.imu_1.gyro_x.gate_radps")[1], "0.5");
+    assert_eq!(told("residuals_9.height_2.height.ratio")[2], "0.5");
+    assert_eq!(told("residuals_9.imu_1.gyro_x.accepted")[1], "false");
+    assert_eq!(told("secure.height_2.flagged"), ["", "true", "true"]);
+    assert_eq!(told("secure.height_2.reason")[1], "drift");
+    assert_eq!(told("secure.height.margin"), ["", "1", "1"]);
+    assert_eq!(told("secure.height_bound_m")[2], "0.06");
+    assert_eq!((told("status.mode")[1].as_str(), told("status.battery_v")[1].as_str()), ("hold", "11.5"));
+
+    let narrow = table(&ground, "columns=residuals_9.height_2,secure.height_2.flagged").await;
+    assert!(narrow[0].len() == 7 && narrow[0].iter().all(|name| !name.contains("gyro")), "{:?}", narrow[0]);
+    let usual = table(&ground, "").await;
+    let has = |begin: &str| usual[0].iter().any(|name| name.starts_with(begin));
+    assert!(has("secure.height_2.") && has("status.mode") && !has("residuals_9"), "{:?}", usual[0]);
+    let refused = ground.get("/api/v1/flights/f1/csv?columns=residuals_9.height_7").await;
+    assert!(refused.status == 422 && refused.error().contains("height_7"), "{}", refused.text());
+    let parquet = ground.get("/api/v1/flights/f1/parquet?columns=residuals_9").await.body;
+    let text = String::from_utf8_lossy(&parquet);
+    assert!(text.contains("\"residuals_9.imu_1.gyro_x.innovation_radps\":\"rad/s\""), "units");
+    ground.stop().await;
+}
+
 /// GIVEN exports of a flight WHEN their tags are shown again THEN they are not sent, until what they are made of has changed.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_export_that_a_client_has_is_not_sent_again() {

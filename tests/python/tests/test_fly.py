@@ -76,6 +76,12 @@ def test_a_flight_under_attack_is_streamed_and_read_back_as_both_frames(ground: 
     attacked = frame[frame["attacks.active"] > 0]
     error = (attacked["height_2.received_m"] - attacked["height_2.sensed_m"]).iloc[20]
     assert abs(error - 0.3) < 1e-6
+    evidence = flight.to_pandas(["residuals_9.height_2", "secure", "status.mode", "attacks.active"], rate_hz=0)
+    ratio = evidence["residuals_9.height_2.height.ratio"]
+    assert ratio[evidence["attacks.active"] > 0].max() > 2 * ratio[evidence["attacks.active"] == 0].median()
+    assert evidence.attrs["units"]["residuals_9.height_2.height.innovation_m"] == "m"
+    assert {"secure.height_2.flagged", "secure.height.margin", "secure.height_bound_m", "status.mode"} <= set(evidence.columns)
+    assert evidence["secure.height_2.flagged"].any(), "excluded while it is attacked"
     part = flight.to_polars(names, from_s=2.0, to_s=3.0, rate_hz=10)
     assert 9 <= part.height <= 11
 

@@ -1,7 +1,8 @@
 //! Samples of a flight as one table, and the files that hold such a table: CSV, Parquet, MATLAB.
 //!
 //! A row for each control tick, at most so many a second, with the latest of every sample topic beside it, and what
-//! happened since the row before: events, and the attacks that are active.
+//! happened since the row before: events, and the attacks that are active. What the secure estimator and the supervisor say of
+//! themselves is among the samples. Residuals, some hundred columns for each estimator, are there where they are asked for by name.
 
 mod mat;
 mod parquet;
@@ -13,7 +14,7 @@ use mcap::McapResult;
 use plumbline_proto::{Kind, Message as _, v1};
 
 use super::RecordingError;
-use super::export::{Sink, Whole};
+use super::export::{Sink, Whole, damaged};
 use super::flatten::{Cell, Table, Type};
 use super::reader::FlightReader;
 use crate::names::JsonName as _;
@@ -25,7 +26,7 @@ pub struct Selection {
     pub from_s: f64,
     /// Until there, s.
     pub to_s: f64,
-    /// Columns by name, or by the beginning of it up to a dot; all where there are none.
+    /// Columns by name, or by the beginning of it up to a dot; all but residuals where there are none.
     pub columns: Vec<String>,
     /// At most so many rows a second; 0 for every control tick.
     pub rate_hz: f64,
@@ -111,7 +112,7 @@ pub(super) struct Head {
 impl Head {
     /// Unit, as the name says it; empty for none.
     pub(super) fn unit(&self) -> &'static str {
-        const UNITS: [(&str, &str); 17] = [
+        const UNITS: [(&str, &str); 21] = [
             ("_mm", "mm"),
             ("_ms", "ms"),
             ("_radps", "rad/s"),
@@ -129,6 +130,10 @@ impl Head {
             ("_n", "N"),
             ("_v", "V"),
             ("_a", "A"),
+            ("_c", "°C"),
+            ("_deg", "°"),
+            ("_kg", "kg"),
+            ("_percent", "%"),
         ];
         let field =
             |part: &&str| UNITS.iter().any(|(suffix, _)| part.split('[').next().unwrap_or(part).ends_with(suffix));
@@ -161,9 +166,58 @@ struct Part {
     topic: String,
     prefix: String,
     table: Table,
-    latest: Option<Vec<u8>>,
+    latest: Latest,
     /// Which of its columns are wanted.
     wanted: Vec<bool>,
+}
+
+/// What a topic said last.
+#[derive(Clone)]
+enum Latest {
+    /// Its message, decoded where there is a row.
+    Message(Option<Vec<u8>>),
+    /// The cells of several messages, as not each names every sensor; which are so.
+    Cells(Vec<Cell>, Vec<bool>),
+}
+
+impl Part {
+    /// Its names of columns tell sensors apart, which messages name.
+    fn by_sensor(kind: Kind) -> bool {
+        matches!(kind, Kind::Residuals | Kind::Secure | Kind::Status)
+    }
+
+    /// Has it any columns where nothing is asked for by name?
+    fn unasked(&self) -> bool {
+        !Kind::from_topic(&self.topic).is_some_and(|(kind, _)| kind == Kind::Residuals)
+    }
+
+    fn take(&mut self, payload: &[u8]) {
+        match &mut self.latest {
+            Latest::Message(latest) => {
+                let latest = latest.get_or_insert_default();
+                latest.clear();
+                latest.extend_from_slice(payload);
+            }
+            Latest::Cells(cells, of_sensors) => {
+                let Some(row) = self.table.rows(payload).into_iter().next() else { return };
+                for ((held, new), of_sensor) in cells.iter_mut().zip(row).zip(of_sensors.iter()) {
+                    if !of_sensor || new != Cell::Absent {
+                        *held = new;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The cells that are wanted.
+    fn cells(&self) -> Vec<Cell> {
+        let row = match &self.latest {
+            Latest::Message(latest) => latest.as_ref().and_then(|latest| self.table.rows(latest).into_iter().next()),
+            Latest::Cells(cells, _) => Some(cells.clone()),
+        };
+        let row = row.unwrap_or_else(|| vec![Cell::Absent; self.wanted.len()]);
+        row.into_iter().zip(&self.wanted).filter_map(|(cell, wanted)| wanted.then_some(cell)).collect()
+    }
 }
 
 /// A table that is known to be possible.
@@ -194,7 +248,9 @@ impl Wide {
         let control = Kind::Control.base_topic();
         let sampled = |topic: &str| {
             Kind::from_topic(topic).is_some_and(|(kind, _)| {
-                kind.is_sensor() || matches!(kind, Kind::Control | Kind::Estimate | Kind::Truth)
+                kind.is_sensor()
+                    || matches!(kind, Kind::Control | Kind::Estimate | Kind::Truth)
+                    || Part::by_sensor(kind)
             })
         };
         let channels = reader.channels();
@@ -203,7 +259,13 @@ impl Wide {
         }
         let part = |channel: &mcap::Channel<'static>| {
             let (topic, prefix) = (channel.topic.clone(), prefix(&channel.topic));
-            Some(Part { topic, prefix, table: Table::of(channel)?, latest: None, wanted: Vec::new() })
+            let by_sensor = Kind::from_topic(&topic).is_some_and(|(kind, _)| Part::by_sensor(kind));
+            let (table, latest) = if by_sensor {
+                (Table::by_sensor(channel)?, Latest::Cells(Vec::new(), Vec::new()))
+            } else {
+                (Table::of(channel)?, Latest::Message(None))
+            };
+            Some(Part { topic, prefix, table, latest, wanted: Vec::new() })
         };
         let mut parts: Vec<Part> = channels
             .values()
@@ -213,10 +275,22 @@ impl Wide {
             .collect();
         // Control first, then by topic.
         parts.sort_by_key(|part| (part.topic != control, part.topic.clone()));
+        // Which sensors are named is known by their messages alone.
+        let below = |part: &&Part| selection.columns.iter().any(|w| w.starts_with(&format!("{}.", part.prefix)));
+        let named = |part: &&Part| matches!(part.latest, Latest::Cells(..)) && below(part);
+        let topics: Vec<String> = parts.iter().filter(named).map(|part| part.topic.clone()).collect();
+        let looked = reader.for_each_in(Some(&topics), range_us, |message| {
+            if let Some(part) = parts.iter_mut().find(|part| part.topic == message.channel.topic) {
+                part.table.measure(message.payload);
+            }
+            Ok(true)
+        });
+        looked.map_err(damaged)?;
         let fields = |part: &Part| {
             part.table.fields().into_iter().map(|name| format!("{}.{name}", part.prefix)).collect::<Vec<_>>()
         };
         let mut known: Vec<String> = parts.iter().flat_map(fields).collect();
+        known.extend(parts.iter().map(|part| part.prefix.clone()));
         known.extend(ATTACKS.iter().chain([&EVENTS]).map(|(name, _)| (*name).to_owned()));
         for wanted in &selection.columns {
             let bare = wanted.split('[').next().unwrap_or(wanted);
@@ -229,14 +303,16 @@ impl Wide {
         }
         // What nothing is wanted of need not be read; control says when there is a row.
         let any = |part: &Part| {
-            fields(part).iter().any(|name| {
-                selection
-                    .columns
-                    .iter()
-                    .any(|w| chosen(std::slice::from_ref(w), name) || w.split('[').next() == Some(name))
-            })
+            selection.columns.contains(&part.prefix)
+                || fields(part).iter().any(|name| {
+                    selection
+                        .columns
+                        .iter()
+                        .any(|w| chosen(std::slice::from_ref(w), name) || w.split('[').next() == Some(name))
+                })
         };
-        parts.retain(|part| part.topic == control || selection.columns.is_empty() || any(part));
+        let unnamed = selection.columns.is_empty();
+        parts.retain(|part| part.topic == control || if unnamed { part.unasked() } else { any(part) });
         Ok(Self { parts, selection, range_us })
     }
 
@@ -278,6 +354,9 @@ impl Wide {
             let named = |(name, kind)| Head { name: format!("{}.{name}", part.prefix), kind };
             let all: Vec<Head> = part.table.header().into_iter().zip(part.table.types()).map(named).collect();
             part.wanted = all.iter().map(|head| chosen(&self.selection.columns, &head.name)).collect();
+            if let Latest::Cells(cells, of_sensors) = &mut part.latest {
+                (*cells, *of_sensors) = (vec![Cell::Absent; all.len()], part.table.of_sensors());
+            }
             heads.extend(all.into_iter().zip(&part.wanted).filter_map(|(head, wanted)| wanted.then_some(head)));
         }
         let more = ATTACKS.iter().chain([&EVENTS]).filter(|(name, _)| chosen(&self.selection.columns, name));
@@ -304,17 +383,12 @@ impl Wide {
             let Some(part) = self.parts.iter_mut().find(|part| part.topic == message.channel.topic) else {
                 return Ok(true);
             };
-            part.latest.get_or_insert_default().clear();
-            part.latest.get_or_insert_default().extend_from_slice(message.payload);
+            part.take(message.payload);
             if !due.row(&message.channel.topic, message.time_us) {
                 return Ok(true);
             }
             let mut cells = vec![Cell::Double(message.time_us.saturating_sub(start) as f64 * 1e-6)];
-            for part in &self.parts {
-                let row = part.latest.as_ref().and_then(|latest| part.table.rows(latest).into_iter().next());
-                let row = row.unwrap_or_else(|| vec![Cell::Absent; part.wanted.len()]);
-                cells.extend(row.into_iter().zip(&part.wanted).filter_map(|(cell, wanted)| wanted.then_some(cell)));
-            }
+            self.parts.iter().for_each(|part| cells.extend(part.cells()));
             let more = happened.take();
             cells.extend(more.into_iter().zip(&extra).filter_map(|(cell, wanted)| wanted.then_some(cell)));
             listening = sheet.row(&cells)?;
@@ -452,5 +526,7 @@ mod tests {
         assert_eq!(unit("imu_1.gyro_radps.x"), "rad/s");
         assert_eq!(unit("control.motor_command[1]"), "");
         assert_eq!(unit("time_s"), "s");
+        assert_eq!([unit("imu_1.temperature_c"), unit("barometer_2.temperature_c")], ["°C"; 2]);
+        assert_eq!([unit("gnss_1.latitude_deg"), unit("control.loss_percent")], ["°", "%"]);
     }
 }

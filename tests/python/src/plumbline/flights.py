@@ -78,8 +78,8 @@ class Flight:
     ) -> bytes:
         """Its table, encoded: a row for each control tick, at most `rate_hz` a second (100; 0 for all).
 
-        `columns` are names, or their beginnings up to a dot: `["control", "height_2.sensed_m", "events"]`. Units stand in
-        the metadata, under `units`.
+        `columns` are names, or their beginnings up to a dot: `["control", "height_2.sensed_m", "events"]`; residuals
+        (`"residuals_9"`, of estimator 9) are there where they are named. Units stand in the metadata, under `units`.
         """
         query = {
             "columns": None if columns is None else ",".join(columns),
