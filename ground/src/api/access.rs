@@ -19,7 +19,7 @@ use super::error::ApiError;
 use super::operator::{self, Operator, Signed};
 use crate::audit::{Deed, redacted};
 use crate::front::{Peer, Place};
-use crate::people::{Access, COOKIE, Person, Token};
+use crate::people::{Access, COOKIE, Person, SessionKey, Token};
 use crate::sync::wall_time_us;
 
 /// The session token that a request shows.
@@ -36,7 +36,12 @@ pub(crate) async fn admit(
     next: Next,
 ) -> Response {
     let mut deed = deed(&request);
-    let admitted = permit(&app, need, request.method(), request.headers()).and_then(|person| {
+    let (session, by_ticket) = match shown(&app, &request) {
+        Ok(shown) => shown,
+        Err(error) => return refuse(&app, deed, error),
+    };
+    let shown = (session.as_ref(), by_ticket);
+    let admitted = permit(&app, need, request.method(), request.headers(), shown).and_then(|person| {
         let who = match person.as_ref().and_then(|person| person.account.clone()) {
             Some(account) => account,
             None if is_cut(&request) => {
@@ -61,6 +66,15 @@ pub(crate) async fn admit(
     }
     let operator = Operator::new(deed.who.clone(), request.headers());
     request.extensions_mut().insert(operator);
+    if let Some(session) = session {
+        request.extensions_mut().insert(session);
+    }
+    // Whoever holds a ticket may be anybody: that it was used is written down.
+    if by_ticket {
+        let response = next.run(request).await;
+        app.audit.record(Deed { status: response.status().as_u16(), ..deed });
+        return response;
+    }
     // Signing in and out write their own lines, without the password.
     if need == Access::Open || !changes(request.method()) {
         return next.run(request).await;
@@ -128,8 +142,27 @@ fn from(request: &Request) -> String {
     request.extensions().get::<ConnectInfo<Peer>>().map_or_else(String::new, |info| info.0.0.ip().to_string())
 }
 
-fn permit(app: &App, need: Access, method: &Method, headers: &HeaderMap) -> Result<Option<Person>, ApiError> {
-    let person = app.people.person(token(headers).as_ref());
+/// The session that a request shows, and whether by a ticket: on the one route of programs that cannot sign in.
+fn shown(app: &App, request: &Request) -> Result<(Option<SessionKey>, bool), ApiError> {
+    let taken = request.extensions().get::<MatchedPath>().is_some_and(|path| path.as_str() == super::FOXGLOVE);
+    let ticket = request.uri().query().unwrap_or_default().split('&').find_map(|pair| pair.strip_prefix("ticket="));
+    let ticket = ticket.filter(|_| taken && request.method() == Method::GET && app.people.sign_in_needed());
+    let Some(ticket) = ticket else { return Ok((token(request.headers()).map(|token| token.key()), false)) };
+    let session = app.people.redeem(ticket, request.uri().path());
+    let session = session.ok_or_else(|| {
+        ApiError::SignIn("this ticket is none, was used, or has expired: ask for another address".into())
+    })?;
+    Ok((Some(session), true))
+}
+
+fn permit(
+    app: &App,
+    need: Access,
+    method: &Method,
+    headers: &HeaderMap,
+    (session, by_ticket): (Option<&SessionKey>, bool),
+) -> Result<Option<Person>, ApiError> {
+    let person = app.people.person_of(session);
     if need == Access::Open {
         return Ok(person);
     }
@@ -140,7 +173,7 @@ fn permit(app: &App, need: Access, method: &Method, headers: &HeaderMap) -> Resu
         let (role, least) = (person.role.name(), need.least().name());
         return Err(ApiError::Foreign(format!("a {role} may not do this; it needs the role {least}")));
     }
-    let by_cookie = person.account.is_some();
+    let by_cookie = person.account.is_some() && !by_ticket;
     let upgrade = headers.contains_key(header::UPGRADE);
     if by_cookie && (changes(method) || upgrade) && !headers.contains_key(header::ORIGIN) {
         return Err(ApiError::Foreign("a request by session needs the Origin of this page".into()));

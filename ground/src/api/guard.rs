@@ -10,7 +10,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, Uri, header};
 use axum::middleware::Next;
 use axum::response::Response;
 use tracing::Instrument as _;
@@ -35,7 +35,7 @@ pub(crate) async fn guard(State(app): State<App>, request: Request, next: Next) 
 }
 
 async fn answer(app: App, request: Request, next: Next) -> Response {
-    let host = match check(&app, request.uri(), request.headers()) {
+    let host = match check(&app, request.method(), request.uri(), request.headers()) {
         Ok(host) => host,
         Err(error) => return access::refuse(&app, access::deed(&request), error),
     };
@@ -52,7 +52,7 @@ fn number(headers: &HeaderMap) -> String {
     theirs.filter(plain).map_or_else(|| NEXT.fetch_add(1, Ordering::Relaxed).to_string(), str::to_owned)
 }
 
-fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> {
+fn check(app: &App, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> {
     let mut hosts = headers.get_all(header::HOST).iter();
     let host = match (hosts.next(), hosts.next()) {
         (Some(host), None) => host.to_str().ok(),
@@ -63,7 +63,7 @@ fn check(app: &App, uri: &Uri, headers: &HeaderMap) -> Result<String, ApiError> 
     if !known_host(host, &app.config.allowed_hosts) {
         return Err(ApiError::Foreign(format!("host {host:?} is not served here")));
     }
-    let foxglove = uri.path().ends_with(FOXGLOVE);
+    let foxglove = *method == Method::GET && uri.path().ends_with(FOXGLOVE);
     let others = if foxglove { app.config.allowed_origins.as_slice() } else { &[] };
     if !known_origin(headers, host, app.secure(), others) {
         let (origin, nor) = (headers.get(header::ORIGIN), if foxglove { ", nor one of allow_origins" } else { "" });

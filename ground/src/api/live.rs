@@ -30,7 +30,7 @@ use super::extract::{Path, Query};
 use super::operator::{self, Operator};
 use crate::front::Place;
 use crate::hub::{MAX_HISTORY_SECONDS, Shared, Viewer, ViewerQueue};
-use crate::people::Token;
+use crate::people::SessionKey;
 use crate::sync::stopping;
 use crate::viewers::MAX_VIEWERS;
 
@@ -77,7 +77,7 @@ pub(crate) async fn live(
     let control = app.leases.holder(&id).is_some_and(|holder| holder == who);
     let seat = app.viewers.enter(&who, control);
     let seat = seat.ok_or_else(|| ApiError::Unavailable(format!("{MAX_VIEWERS} viewers are connected")))?;
-    let token = token(&headers);
+    let session = token(&headers).map(|token| token.key());
     Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |mut socket| async move {
         if let Some(Extension(place)) = &place {
             place.watch();
@@ -87,7 +87,7 @@ pub(crate) async fn live(
             tokio::select! {
                 () = serve(&app, &id, &who, viewer, &mut socket) => {}
                 () = seat.closed() => tracing::debug!(who, "an older socket gives way"),
-                () = expelled(&app, token.as_ref()) => {
+                () = expelled(&app, session.as_ref()) => {
                     let _ = timeout(Duration::from_secs(1), socket.send(Message::Close(None))).await;
                 }
             }
@@ -132,11 +132,11 @@ fn past(batches: &[Shared], seconds: u64) -> Vec<u8> {
     out
 }
 
-/// Completes when whoever showed `token` may watch no more: signed out, removed, or with another password.
-pub(super) async fn expelled(app: &App, token: Option<&Token>) {
+/// Completes when whoever has this session may watch no more: signed out, removed, or with another password.
+pub(super) async fn expelled(app: &App, session: Option<&SessionKey>) {
     let mut ask = interval(ASK_EVERY);
     ask.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    while app.people.person(token).is_some() {
+    while app.people.person_of(session).is_some() {
         ask.tick().await;
     }
 }

@@ -80,6 +80,8 @@ use operator::Operator;
 const MAX_BODY: usize = 256 << 10;
 /// Path of the motor cut.
 const CUT: &str = "/api/v1/vehicles/{id}/cut";
+/// Path of the Foxglove link.
+const FOXGLOVE: &str = "/api/v1/vehicles/{id}/foxglove";
 /// Histories thinned at a time; more wait.
 const THINNING: usize = 1;
 
@@ -234,6 +236,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/vehicles"                       View    vehicles::list;
         get    "/api/v1/vehicles/{id}/live"             View    live::live;
         get    "/api/v1/vehicles/{id}/foxglove"      View    foxglove::live;
+        post   "/api/v1/vehicles/{id}/foxglove"      View    foxglove::address;
         get    "/api/v1/vehicles/{id}/history"          View    live::history;
         get    "/api/v1/vehicles/{id}/signals"          View    signals::live_list;
         get    "/api/v1/vehicles/{id}/signal"           View    signals::live_samples;

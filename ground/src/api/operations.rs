@@ -10,7 +10,7 @@ use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
 use plumbline_rest::flight::{Due, Flight, Flights, Imported, Labels, Samples, Signals, Spectrum};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
 use plumbline_rest::people::{
-    AccountChange, Code, Confirmation, Credentials, NewAccount, NewAuthenticator, People, Session,
+    AccountChange, Code, Confirmation, Credentials, LiveAddress, NewAccount, NewAuthenticator, People, Session,
 };
 
 use super::openapi::{BYTES, Operation, Parameter, list, object, of};
@@ -83,7 +83,8 @@ const TO: Parameter = ("to_s", "number", "Since the start of the flight, s.");
 const COLUMNS: Parameter = (
     "columns",
     "string",
-    "Names with commas between them, or their beginnings up to a dot: control,height_2.sensed_m,events.",
+    "Names with commas between them, or their beginnings up to a dot: control,height_2.sensed_m,residuals_9.height_2,secure,events. \
+     Residuals are there where they are named.",
 );
 const RATE: Parameter =
     ("rate_hz", "number", "At most so many rows a second, 100 where nothing is said; 0 for every tick.");
@@ -134,8 +135,16 @@ pub(super) const OPERATIONS: &[Operation] = &[
         "/api/v1/vehicles/{id}/foxglove",
         "The Foxglove WebSocket protocol: every topic, a scene, gains and limits, services for mode, setpoint and cut",
     )
-    .query(&[("operator", "string", "What a client calls itself.")])
+    .query(&[
+        ("operator", "string", "What a client calls itself, where nobody signs in."),
+        ("ticket", "string", "Instead of a session: as `POST` has answered it, once and within minutes."),
+    ])
     .empty(101),
+    post(
+        "/api/v1/vehicles/{id}/foxglove",
+        "An address of that link for a program that cannot sign in: it opens once, within minutes, for whoever asks and while their session lasts",
+    )
+    .json(of::<LiveAddress>),
     get("/api/v1/vehicles/{id}/history", "The past as one batch, thinned for charts")
         .query(&[("seconds", "integer!", "How far back.")])
         .media(BYTES),

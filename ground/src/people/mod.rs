@@ -9,6 +9,7 @@ mod attempts;
 mod role;
 mod sessions;
 pub(crate) mod throttle;
+mod tickets;
 mod totp;
 
 use std::collections::HashMap;
@@ -24,7 +25,9 @@ pub(crate) use attempts::origin;
 pub use attempts::{FAILURES, FAILURES_WITHIN};
 pub use role::{Access, Role};
 pub(crate) use sessions::LONGEST_S as SESSION_LONGEST_S;
-pub use sessions::{COOKIE, Sessions, Token};
+pub use sessions::{COOKIE, SessionKey, Sessions, Token};
+use tickets::Tickets;
+pub use tickets::VALID as TICKET_VALID;
 pub use totp::Authenticator;
 
 use plumbline_rest::people::SignedIn;
@@ -70,6 +73,7 @@ pub struct People {
     /// With it ends the thread that looks at the accounts.
     _watched: Sender<()>,
     sessions: Sessions,
+    tickets: Mutex<Tickets>,
     attempts: Mutex<Attempts>,
     /// The last step of an authenticator that each account signed in by: a code counts once.
     steps: Mutex<HashMap<String, u64>>,
@@ -88,6 +92,7 @@ impl People {
             _watched: accounts.watch(),
             accounts,
             sessions: Sessions::open(&folder),
+            tickets: Mutex::default(),
             attempts: Mutex::new(Attempts::new()),
             steps: Mutex::default(),
             checks: Arc::new(tokio::sync::Semaphore::new(CHECKS_AT_ONCE)),
@@ -123,11 +128,16 @@ impl People {
 
     /// Who shows `token`; `None` when nobody known does.
     pub fn person(&self, token: Option<&Token>) -> Option<Person> {
+        self.person_of(token.map(Token::key).as_ref())
+    }
+
+    /// Whose session `key` is; `None` when it is nobody's.
+    pub fn person_of(&self, key: Option<&SessionKey>) -> Option<Person> {
         if !self.sign_in_needed() {
             return Some(Person { account: None, role: Role::Admin });
         }
         let accounts = self.accounts.known()?;
-        let session = self.sessions.seen(token?)?;
+        let session = self.sessions.seen(key?)?;
         // An account that was removed, or has a new password, ends its sessions.
         let account = accounts.iter().find(|account| account.name == session.account)?;
         (account.stamp() == session.stamp).then_some(Person { account: Some(session.account), role: account.role })
@@ -253,6 +263,16 @@ impl People {
         let Some(accounts) = self.accounts.known() else { return true };
         let may = accounts.iter().any(|account| account.name == name && Access::Operate.open_to(account.role));
         may && (self.standing.as_deref() == Some(name) || !self.sessions(Some(name)).is_empty())
+    }
+
+    /// A ticket by which a program without a session opens `path`, once, for the session of `key`.
+    pub fn ticket(&self, key: SessionKey, path: &str) -> String {
+        lock(&self.tickets).issue(key, path.to_owned(), Instant::now())
+    }
+
+    /// The session that a ticket for `path` stands for; it counts no more.
+    pub fn redeem(&self, ticket: &str, path: &str) -> Option<SessionKey> {
+        lock(&self.tickets).redeem(ticket, path, Instant::now())
     }
 
     /// Ends a session.

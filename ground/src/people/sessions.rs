@@ -38,8 +38,12 @@ const KEEP_EVERY_S: u64 = 600;
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
+/// What a session is kept under: the SHA-256 of its token, by which nobody signs in.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct SessionKey(String);
+
 impl Token {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let mut bytes = [0; 32];
         // Without randomness from the system nothing of TLS would work either.
         if SystemRandom::new().fill(&mut bytes).is_err() {
@@ -59,8 +63,9 @@ impl Token {
         &self.0
     }
 
-    fn key(&self) -> String {
-        Sha256::digest(self.0.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
+    /// Of the session that it is for.
+    pub fn key(&self) -> SessionKey {
+        SessionKey(Sha256::digest(self.0.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect())
     }
 }
 
@@ -152,17 +157,17 @@ impl Sessions {
             {
                 known.remove(&oldest);
             }
-            known.insert(token.key(), session);
+            known.insert(token.key().0, session);
         });
         self.kept(revision).await;
         token
     }
 
-    /// The session of `token`, which is in use now. Waits for nothing.
-    pub(super) fn seen(&self, token: &Token) -> Option<Session> {
+    /// The session kept under `key`, which is in use now. Waits for nothing.
+    pub(super) fn seen(&self, key: &SessionKey) -> Option<Session> {
         let now_s = now_s();
         let mut known = lock(&self.known);
-        let session = known.sessions.get_mut(&token.key()).filter(|session| !session.over(now_s))?;
+        let session = known.sessions.get_mut(&key.0).filter(|session| !session.over(now_s))?;
         let due = now_s.saturating_sub(session.seen_s) >= KEEP_EVERY_S;
         if due {
             session.seen_s = now_s;
@@ -177,7 +182,7 @@ impl Sessions {
 
     /// Ends a session. Answers when the disk knows it, or cannot.
     pub(super) async fn end(&self, token: &Token) {
-        let revision = self.change(|known| drop(known.remove(&token.key())));
+        let revision = self.change(|known| drop(known.remove(&token.key().0)));
         self.kept(revision).await;
     }
 

@@ -344,6 +344,101 @@ async fn a_viewer_is_refused_the_services() {
     assert!(!audit.contains("\"who\":\"root\""), "the account counts, not what the address says: {audit}");
 }
 
+/// GIVEN people who sign in WHEN a program without a session opens the address that one of them asked for THEN it has their role, once
+/// and while their session lasts.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_ticket_opens_the_link_once_with_the_role_of_who_asked() {
+    const PASSWORD: &str = "a long enough password";
+    let folder = tempfile::tempdir().unwrap();
+    let accounts = Accounts::of(folder.path());
+    for (name, role) in [("root", Role::Admin), ("vic", Role::Viewer), ("ola", Role::Operator)] {
+        accounts.add(name, role, PASSWORD).unwrap();
+    }
+    let ground = Ground::start(folder.path()).await;
+    let mut agent = ground.agent("iris-1", 1).await;
+    agent.describe().await;
+    let other = ground.agent("iris-2", 2).await;
+    let sign_in = async |name: &str| {
+        let body = json!({ "name": name, "password": PASSWORD }).to_string();
+        let signed = ground.request("POST", "/api/v1/session", &body).await;
+        signed.header("set-cookie").unwrap().split(';').next().unwrap().to_owned()
+    };
+    let origin = format!("http://{}", ground.address);
+    let ask = async |cookie: &str| {
+        let headers = [("cookie", cookie), ("origin", origin.as_str()), ("x-plumbline-operator", "me")];
+        let answer = ground.request_as("POST", "/api/v1/vehicles/iris-1/foxglove", "", &headers).await;
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        let told: Value = serde_json::from_slice(&answer.body).unwrap();
+        assert_eq!(told["valid_s"], 300);
+        let url = told["url"].as_str().unwrap().to_owned();
+        let token = cookie.split('=').nth(1).unwrap();
+        assert!(!url.contains(token), "the token of the session is in no address");
+        let path = url.strip_prefix(&format!("ws://{}/api/v1/vehicles/", ground.address)).unwrap().to_owned();
+        path
+    };
+    let open =
+        async |path: &str| connect_with(&ground, path, Some("foxglove.sdk.v1"), &[]).await.map(|(socket, _)| socket);
+
+    // WHEN nobody is signed in THEN there is no address, and none of what is not a ticket opens the link.
+    let told = ground.request("POST", "/api/v1/vehicles/iris-1/foxglove", "").await;
+    assert_eq!(told.status, 401, "{}", told.text());
+    for garbage in ["", "x", &"0".repeat(64)] {
+        assert_eq!(open(&format!("iris-1/foxglove?ticket={garbage}")).await.map(drop).unwrap_err(), 401, "{garbage}");
+    }
+
+    let vic = sign_in("vic").await;
+    let path = ask(&vic).await;
+    let ticket = path.split('?').nth(1).unwrap();
+    assert_eq!(open(&format!("iris-2/foxglove?{ticket}")).await.map(drop).unwrap_err(), 401, "of another vehicle");
+    assert_eq!(open(&format!("iris-1/live?{ticket}")).await.map(drop).unwrap_err(), 401, "of another route");
+    let mut socket = open(&path).await.unwrap();
+    socket.send(call(3, 0, "json", "{}")).await.unwrap();
+    let why = answer(&mut socket, 0).await.unwrap_err();
+    assert_eq!(why, "a viewer may not do this; it needs the role operator");
+    assert_eq!(open(&path).await.map(drop).unwrap_err(), 401, "used");
+
+    let ola = sign_in("ola").await;
+    let (first, second) = (ask(&ola).await, ask(&ola).await);
+    let mut socket = open(&first).await.unwrap();
+    socket.send(call(3, 1, "json", "{}")).await.unwrap();
+    let asked = agent.accept().await;
+    assert!(matches!(asked.body, Some(Body::CutMotors(_))), "{asked:?}");
+    assert_eq!(answer(&mut socket, 1).await.unwrap()["stage"], "accepted");
+
+    // WHEN she signs out THEN what waits opens nothing, and what is open is closed.
+    let headers = [("cookie", ola.as_str()), ("origin", origin.as_str()), ("x-plumbline-operator", "me")];
+    assert_eq!(ground.request_as("DELETE", "/api/v1/session", "", &headers).await.status, 204);
+    assert_eq!(open(&second).await.map(drop).unwrap_err(), 401, "the session has ended");
+    let ended = async { while matches!(socket.next().await, Some(Ok(message)) if !message.is_close()) {} };
+    tokio::time::timeout(PATIENCE, ended).await.expect("the link ends with the session");
+    drop(other);
+    ground.stop().await;
+    let audit = std::fs::read_to_string(folder.path().join("audit.jsonl")).unwrap();
+    let count = |who: &str, method: &str, status: &str| {
+        let of = |line: &&str| [who, method, status, "/foxglove"].iter().all(|part| line.contains(part));
+        audit.lines().filter(of).count()
+    };
+    assert_eq!(count("\"ola\"", "\"POST\"", "200"), 2, "{audit}");
+    assert_eq!((count("\"ola\"", "\"GET\"", "101"), count("\"vic\"", "\"GET\"", "101")), (1, 1), "{audit}");
+    assert!(count("", "\"GET\"", "401") >= 1 && !audit.contains("ticket="), "{audit}");
+}
+
+/// GIVEN nobody who must sign in WHEN the address is asked for THEN it needs no ticket.
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_needs_no_ticket_where_nobody_signs_in() {
+    let folder = tempfile::tempdir().unwrap();
+    let ground = Ground::start(folder.path()).await;
+    let _agent = ground.agent("iris-1", 1).await;
+    ground.wait_json("/api/v1/vehicles", |v| v[0]["id"] == "iris-1").await;
+    let told = ground.request("POST", "/api/v1/vehicles/iris-1/foxglove", "").await;
+    let told: Value = serde_json::from_slice(&told.body).unwrap();
+    let url = format!("ws://{}/api/v1/vehicles/iris-1/foxglove", ground.address);
+    assert_eq!(told, json!({ "url": url, "valid_s": null }));
+    assert_eq!(ground.request("POST", "/api/v1/vehicles/nobody/foxglove", "").await.status, 404);
+    connect(&ground, "iris-1", Some("foxglove.sdk.v1")).await.unwrap();
+    ground.stop().await;
+}
+
 /// GIVEN a ground that knows a page of others WHEN that page opens the link THEN it is served, and no other page is; the rest of the API
 /// stays closed to it.
 #[tokio::test(flavor = "multi_thread")]
@@ -363,4 +458,7 @@ async fn a_page_of_others_is_served_where_it_is_allowed() {
     assert_eq!(from("https://elsewhere.dev", "iris-1/foxglove").await, Err(403));
     assert_eq!(from("null", "iris-1/foxglove").await, Err(403));
     assert_eq!(from("https://app.foxglove.dev", "iris-1/live").await, Err(403));
+    let theirs = [("origin", "https://app.foxglove.dev")];
+    let asked = ground.request_as("POST", "/api/v1/vehicles/iris-1/foxglove", "", &theirs).await;
+    assert_eq!(asked.status, 403, "an address is asked for by our own page");
 }

@@ -101,6 +101,16 @@ pub struct Code {
     pub code: String,
 }
 
+/// `POST /api/v1/vehicles/{id}/foxglove`: where a program that cannot sign in sees a vehicle live.
+#[derive(Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct LiveAddress {
+    /// Of a WebSocket; with a ticket, which opens it once, where people sign in.
+    pub url: String,
+    /// So long it can be opened, s; `None` where nobody signs in: always.
+    pub valid_s: Option<u64>,
+}
+
 /// `GET /api/v1/people`, and `GET /api/v1/sessions` without accounts.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

@@ -2,7 +2,8 @@
 //!
 //! Channels are the topics of a flight file, with the same bytes and the same descriptors, and beside them well-known
 //! schemas of Foxglove's ([`crate::scene`]). What nobody subscribed to is not sent. Gains and limits are [`parameters`] to be read; mode,
-//! setpoint and cut are [`services`] under the lease. Roles are those of the live view and of commands.
+//! setpoint and cut are [`services`] under the lease. Roles are those of the live view and of commands. Foxglove cannot sign in: `POST`
+//! to the same path answers an [`address`] with a ticket.
 //!
 //! Two queues lie between hub and socket. Samples: [`MAX_WAITING_BYTES`], the oldest goes when it is full. What is rare
 //! (events, acknowledgements, states): [`MAX_RARE`], and a client that lets even these fill is closed: none is lost in
@@ -19,28 +20,30 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use axum::Json;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{ConnectInfo, Extension, State};
-use axum::http::HeaderMap;
+use axum::http::{HeaderMap, Uri, header};
 use axum::response::Response;
 use futures_util::stream::{SplitSink, SplitStream};
 use futures_util::{SinkExt as _, StreamExt as _};
 use plumbline_proto::codec::{self, Frame};
 use plumbline_proto::time::{FlightTime, WallTime};
 use plumbline_proto::{Kind, v1};
+use plumbline_rest::people::LiveAddress;
 use serde::Deserialize;
 use tokio::sync::Notify;
 use tokio::time::timeout;
 
 use super::App;
-use super::access::token;
 use super::error::ApiError;
 use super::extract::{Path, Query};
 use super::live::{STALLED, expelled};
 use super::operator::{self, Operator};
 use crate::front::{Peer, Place};
 use crate::hub::{Viewer, ViewerQueue};
+use crate::people::{SessionKey, TICKET_VALID};
 use crate::scene::{Drawn, Offer, Scene};
 use crate::sync::{lock, stopping};
 use crate::viewers::MAX_VIEWERS;
@@ -73,7 +76,7 @@ pub(crate) async fn live(
     who: Operator,
     place: Option<Extension<Arc<Place>>>,
     peer: Option<Extension<ConnectInfo<Peer>>>,
-    headers: HeaderMap,
+    session: Option<Extension<SessionKey>>,
     upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
 ) -> Result<Response, ApiError> {
     let upgrade = upgrade.map_err(|e| ApiError::Upgrade(format!("a WebSocket is served here: {}", e.body_text())))?;
@@ -88,7 +91,8 @@ pub(crate) async fn live(
     let seat = app.viewers.enter(&name, false);
     let seat = seat.ok_or_else(|| ApiError::Unavailable(format!("{MAX_VIEWERS} viewers are connected")))?;
     let from = peer.map_or_else(String::new, |Extension(ConnectInfo(Peer(address)))| address.ip().to_string());
-    let caller = Caller { app: app.clone(), vehicle: id.clone(), name, token: token(&headers), from };
+    let caller =
+        Caller { app: app.clone(), vehicle: id.clone(), name, session: session.map(|Extension(key)| key), from };
     Ok(upgrade.max_message_size(MAX_INCOMING).max_frame_size(MAX_INCOMING).on_upgrade(move |socket| async move {
         if let Some(Extension(place)) = &place {
             place.watch();
@@ -97,9 +101,33 @@ pub(crate) async fn live(
         tokio::select! {
             () = serve(&caller, viewer, socket) => {}
             () = seat.closed() => {}
-            () = expelled(&app, caller.token.as_ref()) => {}
+            () = expelled(&app, caller.session.as_ref()) => {}
         }
     }))
+}
+
+/// An address for a program that cannot sign in: with a ticket where people must.
+pub(crate) async fn address(
+    State(app): State<App>,
+    Path(id): Path<String>,
+    session: Option<Extension<SessionKey>>,
+    uri: Uri,
+    headers: HeaderMap,
+) -> Result<Json<LiveAddress>, ApiError> {
+    if !app.hub.knows(&id) {
+        return Err(crate::hub::VehicleError::Unknown(id).into());
+    }
+    // The guard has looked at it: it is one of this ground's names.
+    let host = headers.get(header::HOST).and_then(|host| host.to_str().ok());
+    let host = host.map_or_else(|| app.address.to_string(), str::to_owned);
+    let (scheme, path) = (if app.secure() { "wss" } else { "ws" }, uri.path());
+    let ticket = app.people.sign_in_needed().then(|| session.map(|Extension(key)| app.people.ticket(key, path)));
+    let (ticket, valid_s) = match ticket {
+        Some(Some(ticket)) => (format!("?ticket={ticket}"), Some(TICKET_VALID.as_secs())),
+        Some(None) => return Err(ApiError::SignIn("sign in first".into())),
+        None => (String::new(), None),
+    };
+    Ok(Json(LiveAddress { url: format!("{scheme}://{host}{path}{ticket}"), valid_s }))
 }
 
 async fn serve(caller: &Caller, viewer: Viewer, socket: WebSocket) {

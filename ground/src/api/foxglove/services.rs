@@ -12,7 +12,7 @@ use super::super::App;
 use super::super::error::ApiError;
 use super::super::order::{Order, Sender};
 use super::client;
-use crate::people::Token;
+use crate::people::SessionKey;
 use axum::extract::ws::Message;
 
 /// One service: its number, its name, what it is asked, and the command that comes of it.
@@ -73,7 +73,7 @@ pub(super) struct Caller {
     pub(super) vehicle: String,
     /// Account, or what it calls itself where nobody signs in.
     pub(super) name: String,
-    pub(super) token: Option<Token>,
+    pub(super) session: Option<SessionKey>,
     /// Address.
     pub(super) from: String,
 }
@@ -96,7 +96,7 @@ impl Caller {
         }
         let order = (service.order)(&call.payload).map_err(|e| ApiError::Invalid(format!("{}: {e}", service.name)))?;
         // The role as it is now: it may have changed since the socket was opened.
-        let person = self.app.people.person(self.token.as_ref());
+        let person = self.app.people.person_of(self.session.as_ref());
         let role = person.ok_or_else(|| ApiError::SignIn("sign in first".into()))?.role;
         let sender = Sender { name: self.name.clone(), role, from: self.from.clone(), way: "FOXGLOVE" };
         Ok(order.carry_out(&self.app, &self.vehicle, sender).await?.0)
