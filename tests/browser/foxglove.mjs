@@ -100,8 +100,12 @@ await step(null, 'foxglove: services are commands under the lease', async () => 
   const cut = await call(bob, 'cut', {});
   assert(cut.answer?.stage === 'accepted', JSON.stringify(cut));
   await until('the cut to be released', async () => (await post('release-cut')).ok, 60_000);
+  const early = await call(ann, 'mode', { mode: 'altitude_hold' });
+  assert(/arm first/.test(early.failure), `a mode while disarmed: ${JSON.stringify(early)}`);
+  await until('the vehicle to be armed', async () => (await post('arm')).ok, 60_000);
   const mode = await call(ann, 'mode', { mode: 'altitude_hold' });
-  assert(mode.answer?.stage === 'accepted' || mode.failure, JSON.stringify(mode));
+  assert(mode.answer?.stage === 'accepted' && !/already/.test(mode.answer.reason), `a mode while armed: ${JSON.stringify(mode)}`);
+  assert((await post('disarm')).ok, 'disarmed again');
   await lease('DELETE');
   [ann, bob].forEach((seen) => seen.client.close());
   return { setpoint: served, cut: cut.answer.reason, mode };
