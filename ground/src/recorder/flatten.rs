@@ -356,11 +356,14 @@ fn fields(columns: &[(FieldDescriptor, Column)], prefix: &str, names: &mut Vec<S
     }
 }
 
+/// Writes the names of columns behind what they begin with.
+type Naming = fn(&[(FieldDescriptor, Column)], &str, &mut Vec<String>);
+
 /// Names of the columns that each element has.
 fn by_sensor(
     inner: &[(FieldDescriptor, Column)],
     found: &BTreeMap<Vec<i64>, Element>,
-    name: fn(&[(FieldDescriptor, Column)], &str, &mut Vec<String>),
+    name: Naming,
     names: &mut Vec<String>,
 ) {
     let mut own = Vec::new();

@@ -373,8 +373,7 @@ async fn a_ticket_opens_the_link_once_with_the_role_of_who_asked() {
         let url = told["url"].as_str().unwrap().to_owned();
         let token = cookie.split('=').nth(1).unwrap();
         assert!(!url.contains(token), "the token of the session is in no address");
-        let path = url.strip_prefix(&format!("ws://{}/api/v1/vehicles/", ground.address)).unwrap().to_owned();
-        path
+        url.strip_prefix(&format!("ws://{}/api/v1/vehicles/", ground.address)).unwrap().to_owned()
     };
     let open =
         async |path: &str| connect_with(&ground, path, Some("foxglove.sdk.v1"), &[]).await.map(|(socket, _)| socket);

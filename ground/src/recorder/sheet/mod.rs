@@ -188,7 +188,7 @@ impl Part {
 
     /// Has it any columns where nothing is asked for by name?
     fn unasked(&self) -> bool {
-        !Kind::from_topic(&self.topic).is_some_and(|(kind, _)| kind == Kind::Residuals)
+        Kind::from_topic(&self.topic).is_none_or(|(kind, _)| kind != Kind::Residuals)
     }
 
     fn take(&mut self, payload: &[u8]) {
