@@ -13,6 +13,9 @@ use super::extract::Path;
 use super::operator::Operator;
 use crate::names::JsonName;
 
+/// Modes that can be asked for.
+pub(crate) const MODES: [v1::Mode; 4] = [v1::Mode::Stabilise, v1::Mode::AltitudeHold, v1::Mode::Hold, v1::Mode::Land];
+
 /// The answer to a command: 200 accepted, 409 rejected.
 pub(crate) type Answer = Result<Json<rest::Answer>, ApiError>;
 
@@ -63,7 +66,7 @@ pub(crate) async fn mode(
 ) -> Answer {
     let mode = v1::Mode::from_json_name(&asked.mode).map_err(ApiError::Invalid)?;
     // Disarmed and cut are left and entered by their own commands, which say what they do.
-    if !matches!(mode, v1::Mode::Stabilise | v1::Mode::AltitudeHold | v1::Mode::Hold | v1::Mode::Land) {
+    if !MODES.contains(&mode) {
         let text = format!("mode {:?} cannot be asked for: stabilise, altitude_hold, hold or land", asked.mode);
         return Err(ApiError::Invalid(text));
     }

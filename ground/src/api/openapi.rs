@@ -7,7 +7,9 @@ use std::collections::BTreeSet;
 use axum::Json;
 use axum::http::{StatusCode, header};
 use axum::response::Html;
+use plumbline_proto::v1;
 use plumbline_rest::Problem;
+use plumbline_rest::flight::Column;
 use serde_json::{Map, Value, json};
 use utoipa::ToSchema;
 
@@ -15,7 +17,9 @@ use super::error::PROBLEM;
 use super::operations::OPERATIONS;
 use super::operator::HEADER;
 use super::session::{STYLE, escape};
+use crate::names::JsonName;
 use crate::people::{Access, COOKIE};
+use crate::recorder::Format;
 
 /// JSON.
 const JSON: &str = "application/json";
@@ -24,10 +28,72 @@ const FORM: &str = "multipart/form-data";
 /// Any bytes.
 pub(super) const BYTES: &str = "application/octet-stream";
 
+/// What an answer may lack: what is not there is left out, not null. Everything else is always sent.
+const LEFT_OUT: [(&str, &[&str]); 10] = [
+    ("Answer", &["revision"]),
+    ("Calibration", &["covariance", "picture"]),
+    ("EnvelopeMultiplier", &["sensor"]),
+    (
+        "EnvelopeSet",
+        &[
+            "altitude_m",
+            "reached_m",
+            "climb_mps",
+            "drift_mps",
+            "tilt_rad",
+            "velocity_mps",
+            "position_m",
+            "reached",
+            "binding",
+            "attack",
+            "certificate",
+        ],
+    ),
+    ("Flight", &["outline"]),
+    ("FlownAttack", &["sequence", "sequence_period_s"]),
+    ("Lease", &["taken_from"]),
+    ("PreparedAttack", &["probability", "altitude_m", "tilt_rad", "velocity_mps", "position_m", "note"]),
+    ("Problem", &["holder", "command_id", "revision"]),
+    ("Vehicle", &["ground"]),
+];
+
+/// The names of a set.
+type Names = fn() -> Vec<String>;
+
+/// Fields of bodies that take one of some names, where the whole set is known here: type, field, names.
+const NAMED: [(&str, &str, Names); 7] = [
+    ("Mode", "mode", || super::control::MODES.map(JsonName::json_name).to_vec()),
+    ("Estimator", "estimator", names::<v1::EstimatorKind>),
+    ("Decoder", "decoder", names::<v1::Decoder>),
+    ("Trajectory", "shape", names::<v1::TrajectoryShape>),
+    ("PlannedAttack", "sensor", names::<v1::SensorKind>),
+    ("PlannedAttack", "channel", names::<v1::AttackChannel>),
+    ("PlannedAttack", "kind", names::<v1::AttackKind>),
+];
+
+/// Names of a schema's enumeration, without the one that says nothing. None has a number beyond.
+fn names<T: JsonName + TryFrom<i32>>() -> Vec<String> {
+    let all = (0..64).filter_map(|number| T::try_from(number).ok()).map(JsonName::json_name);
+    all.filter(|name| name != "unspecified").collect()
+}
+
+/// The schema of a parameter of a query, by what [`Parameter`] calls it.
+fn schema_of(kind: &str) -> Value {
+    let named = |names: Vec<String>| json!({ "type": "string", "enum": names });
+    match kind {
+        "estimator" => named(names::<v1::EstimatorKind>()),
+        "column" => named(Column::ALL.map(|column| column.query().to_owned()).to_vec()),
+        "format" => named(std::iter::once("mcap").chain(Format::ALL.map(Format::name)).map(str::to_owned).collect()),
+        kind => json!({ "type": kind }),
+    }
+}
+
 /// Schemas by name, and names that two types claim.
 #[derive(Debug, Default)]
 pub(super) struct Schemas {
     named: Map<String, Value>,
+    /// Names of what is asked: there a field that may be left out has a meaning, or the value of before.
+    asked: BTreeSet<String>,
     #[cfg_attr(not(test), allow(dead_code))]
     clashes: Vec<String>,
 }
@@ -50,6 +116,65 @@ pub(super) fn of<T: ToSchema>(schemas: &mut Schemas) -> Value {
     json!({ "$ref": format!("#/components/schemas/{}", T::name()) })
 }
 
+impl Schemas {
+    /// The schema of a body, and whether it is needed: an empty one is `{}`.
+    fn asked(&mut self, schema: Schema) -> (Value, bool) {
+        let mut own = Self::default();
+        let body = schema(&mut own);
+        let needed = named_in(&body).and_then(|name| own.named.get(name)).is_some_and(needs);
+        self.asked.extend(own.named.keys().cloned());
+        schema(self);
+        (body, needed)
+    }
+
+    /// Says what answers always hold, and which names there are.
+    fn complete(&mut self) {
+        for (name, field, names) in NAMED {
+            if let Some(field) = self.named.get_mut(name).and_then(|schema| schema["properties"].get_mut(field)) {
+                field["enum"] = json!(names());
+            }
+        }
+        let parts = self.named.clone();
+        self.named.values_mut().filter(|schema| schema["allOf"].is_array()).for_each(|schema| merge(schema, &parts));
+        for (name, schema) in self.named.iter_mut().filter(|(name, _)| !self.asked.contains(*name)) {
+            let left_out = LEFT_OUT.iter().find(|(of, _)| of == name).map_or(&[] as &[&str], |(_, fields)| fields);
+            always_sent(schema, left_out);
+        }
+    }
+}
+
+/// The name of the schema that is referred to.
+fn named_in(schema: &Value) -> Option<&str> {
+    schema["$ref"].as_str().and_then(|reference| reference.rsplit('/').next())
+}
+
+/// One object of the parts of a schema: a part that takes no other field would else refuse those of the others.
+fn merge(schema: &mut Value, named: &Map<String, Value>) {
+    let (mut properties, mut required) = (Map::new(), BTreeSet::new());
+    for part in schema["allOf"].as_array().into_iter().flatten() {
+        let part = named_in(part).and_then(|name| named.get(name)).unwrap_or(part);
+        properties.extend(part["properties"].as_object().cloned().unwrap_or_default());
+        required.extend(part["required"].as_array().into_iter().flatten().filter_map(Value::as_str).map(str::to_owned));
+    }
+    let description = schema["description"].take();
+    *schema = json!({ "type": "object", "description": description, "properties": properties, "required": required });
+}
+
+/// Must any field be given?
+fn needs(schema: &Value) -> bool {
+    let of = |schema: &Value| schema["required"].as_array().is_some_and(|fields| !fields.is_empty());
+    of(schema) || schema["allOf"].as_array().is_some_and(|parts| parts.iter().any(of))
+}
+
+/// Every field that is not left out at times is required.
+fn always_sent(schema: &mut Value, left_out: &[&str]) {
+    let fields = schema["properties"].as_object().into_iter().flat_map(Map::keys);
+    let always: Vec<_> = fields.filter(|field| !left_out.contains(&field.as_str())).cloned().collect();
+    if !always.is_empty() {
+        schema["required"] = json!(always);
+    }
+}
+
 /// A list of such.
 pub(super) fn list<T: ToSchema>(schemas: &mut Schemas) -> Value {
     json!({ "type": "array", "items": of::<T>(schemas) })
@@ -60,7 +185,7 @@ pub(super) fn object(_: &mut Schemas) -> Value {
     json!({ "type": "object" })
 }
 
-/// One of the query's parameters: name, type, what it means.
+/// One of the query's parameters: name, type or what it names (see [`schema_of`]), with `!` where it is needed, what it means.
 pub(super) type Parameter = (&'static str, &'static str, &'static str);
 
 /// One method of one route.
@@ -154,7 +279,7 @@ impl Operation {
         let path = |name| json!({ "name": name, "in": "path", "required": true, "schema": { "type": "string" } });
         let query = |(name, kind, text): &Parameter| {
             let (kind, required) = kind.strip_suffix('!').map_or((*kind, false), |kind| (kind, true));
-            json!({ "name": name, "in": "query", "required": required, "description": text, "schema": { "type": kind } })
+            json!({ "name": name, "in": "query", "required": required, "description": text, "schema": schema_of(kind) })
         };
         let mut all: Vec<Value> = parts.map(path).chain(self.query.iter().map(query)).collect();
         if self.method != "get" {
@@ -231,7 +356,8 @@ impl Operation {
             operation["x-plumbline-role"] = json!(need.least().name());
         }
         if let Some(schema) = self.body {
-            operation["requestBody"] = json!({ "content": { JSON: { "schema": schema(schemas) } } });
+            let (schema, needed) = schemas.asked(schema);
+            operation["requestBody"] = json!({ "required": needed, "content": { JSON: { "schema": schema } } });
         }
         if self.form {
             let file = json!({ "type": "string", "contentMediaType": BYTES });
@@ -295,6 +421,7 @@ fn document() -> (Value, Schemas) {
             paths.entry(path).or_insert_with(|| json!({}))[method] = operation.document(need, &mut schemas);
         }
     }
+    schemas.complete();
     let failures: BTreeSet<u16> = OPERATIONS.iter().flat_map(Operation::failures).collect();
     let text = "Times are in seconds or microseconds as their names say, lengths in metres, angles in radians, world east \
                 north up. Every answer in JSON to a GET has an ETag.";
@@ -309,7 +436,7 @@ fn document() -> (Value, Schemas) {
         "security": [{ "session": [] }],
         "paths": paths,
         "components": {
-            "schemas": schemas.named,
+            "schemas": schemas.named.clone(),
             "responses": failures.into_iter().map(|status| (status.to_string(), failure(status))).collect::<Map<_, _>>(),
             "securitySchemes": {
                 "session": { "type": "apiKey", "in": "cookie", "name": COOKIE, "description": "POST /api/v1/session gives it; where there are no accounts none is needed." },
@@ -414,6 +541,78 @@ mod tests {
             named += 1;
         }
         assert!(named > 80, "{named} references");
+    }
+
+    /// Fields that its source leaves out at times, by the type's name in the description; those of bodies apart.
+    fn left_out_in(source: &str) -> Vec<(String, Vec<String>)> {
+        let mut found = Vec::new();
+        let (mut attributes, mut name, mut fields, mut skipped) = (String::new(), None, Vec::new(), false);
+        for line in source.lines().map(str::trim) {
+            if let Some(rest) = line.strip_prefix("pub struct ") {
+                let renamed = attributes.split("schema(as = ").nth(1).and_then(|rest| rest.split(')').next());
+                let own = rest.split([' ', ';', '(']).next().unwrap();
+                name = Some(renamed.unwrap_or(own).to_owned());
+            } else if line == "}" {
+                if let Some(name) = name.take().filter(|_| !fields.is_empty() && !attributes.contains("deny_unknown")) {
+                    found.push((name, std::mem::take(&mut fields)));
+                }
+                (fields, attributes) = (Vec::new(), String::new());
+            } else if line.starts_with("#[") {
+                if name.is_none() {
+                    attributes += line;
+                }
+                skipped |= line.contains("skip_serializing_if");
+            } else if let Some(field) = line.strip_prefix("pub ").filter(|_| std::mem::take(&mut skipped)) {
+                fields.push(field.split(':').next().unwrap().to_owned());
+            }
+        }
+        found
+    }
+
+    #[test]
+    fn answers_have_every_field_that_is_always_sent_and_names_where_they_are_known() {
+        let (document, described) = document();
+        let schemas = document["components"]["schemas"].as_object().unwrap();
+        let mut answers = 0;
+        for (name, schema) in schemas.iter().filter(|(name, _)| !described.asked.contains(*name)) {
+            let left_out = LEFT_OUT.iter().find(|(of, _)| of == name).map_or(&[] as &[&str], |(_, fields)| fields);
+            assert!(schema["allOf"].is_null(), "{name} is of parts, of which one refuses the others' fields");
+            let Some(fields) = schema["properties"].as_object() else { continue };
+            let required: Vec<_> = schema["required"].as_array().into_iter().flatten().collect();
+            for field in fields.keys() {
+                let always = !left_out.contains(&field.as_str());
+                assert_eq!(required.contains(&&json!(field)), always, "{name}.{field}");
+            }
+            answers += 1;
+        }
+        assert!(answers > 50, "{answers} answers");
+        // What is left out is what the types leave out.
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../proto/rest/src");
+        let mut told: Vec<_> = ["", "flight"]
+            .iter()
+            .flat_map(|sub| std::fs::read_dir(folder.join(sub)).unwrap().flatten())
+            .filter(|file| file.path().extension().is_some_and(|ending| ending == "rs"))
+            .flat_map(|file| left_out_in(&std::fs::read_to_string(file.path()).unwrap()))
+            .filter(|(name, _)| schemas.contains_key(name) && !described.asked.contains(name))
+            .collect();
+        told.sort();
+        // The fields of an attack are those of its plan.
+        let listed: Vec<_> = LEFT_OUT
+            .iter()
+            .filter(|(name, _)| *name != "FlownAttack")
+            .map(|(name, fields)| (name.to_string(), fields.iter().map(ToString::to_string).collect::<Vec<_>>()))
+            .collect();
+        assert_eq!(told, listed);
+        for (name, field, names) in NAMED {
+            let said = schemas[name]["properties"][field]["enum"].as_array().unwrap();
+            assert!(said.len() == names().len() && said.len() > 3, "{name}.{field}: {said:?}");
+        }
+        let sort = &document["paths"]["/api/v1/flights"]["get"]["parameters"];
+        let sort = sort.as_array().unwrap().iter().find(|parameter| parameter["name"] == "sort").unwrap();
+        assert_eq!(sort["schema"]["enum"][0], "started");
+        let needed = |path: &str, method: &str| document["paths"][path][method]["requestBody"]["required"].clone();
+        assert_eq!(needed("/api/v1/vehicles/{id}/mode", "post"), true);
+        assert_eq!(needed("/api/v1/vehicles/{id}/simulator", "post"), false, "an empty body is {{}}");
     }
 
     #[test]

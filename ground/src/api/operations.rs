@@ -46,7 +46,7 @@ const LISTING: &[Parameter] = &[
     ("vehicle", "string", "Of this vehicle only, by its id."),
     ("from_unix_us", "integer", "Begun then or later, µs since the Unix epoch."),
     ("to_unix_us", "integer", "Begun earlier than that."),
-    ("sort", "string", "started, name, vehicle, rig, duration, steps, attacks, tracking, completeness or size."),
+    ("sort", "column", "By which column."),
     ("descending", "boolean", "The largest, or newest, first: so where nothing is said."),
     OFFSET,
     ("limit", "integer", "Most that are answered: 1 to 1000, 100 where nothing is said."),
@@ -250,7 +250,7 @@ pub(super) const OPERATIONS: &[Operation] = &[
             ("ids", "string!", "Ids of flights with commas between them, 500 at most."),
             (
                 "format",
-                "string",
+                "format",
                 "mcap where nothing is said: no backup is what csv, parquet, mat, ros2 or foxglove give.",
             ),
         ])
@@ -300,7 +300,7 @@ pub(super) const OPERATIONS: &[Operation] = &[
         .media(BYTES)
         .tagged(),
     get("/api/v1/flights/{id}/estimate", "Estimates the recording again")
-        .query(&[("estimator", "string!", "Which."), ("sensors", "string", "Which samples it is given, with commas.")])
+        .query(&[("estimator", "estimator!", "Which."), ("sensors", "string", "Which samples it is given, with commas.")])
         .json(object),
     get("/api/v1/flights/{id}/signals", "Every number that was recorded, by topic").json(of::<Signals>),
     get("/api/v1/flights/{id}/signal", "One of them over time, thinned to the least and the greatest of each stretch")

@@ -9,6 +9,7 @@ from typing import Any
 
 from conftest import ROOT
 
+import plumbline
 from plumbline import live
 
 # Made by the ground of ours, in Foxglove's own schemas.
@@ -58,3 +59,9 @@ def test_the_layout_of_foxglove() -> None:
     for panel in panels.values():
         if request := panel.get("requestPayload"):
             assert isinstance(json.loads(request), dict)
+
+
+def test_foxglove_is_given_an_address(ground: plumbline.Ground) -> None:
+    address = ground.vehicle().foxglove_address()
+    assert address["url"] == f"{ground.url.replace('http', 'ws', 1)}/api/v1/vehicles/{ground.vehicle().id}/foxglove"
+    assert address["valid_s"] is None, "nobody signs in"

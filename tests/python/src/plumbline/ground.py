@@ -6,7 +6,7 @@ import contextlib
 import ssl
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 from urllib.parse import urlsplit
 
 from typing_extensions import Self
@@ -158,7 +158,7 @@ class Ground:
 
     def flight(self, id: str) -> Flight:
         """One of them. Raises `NotFound`."""
-        return Flight(self._connection, {"id": id}).refresh()
+        return Flight(self._connection, cast("models.Flight", {"id": id})).refresh()
 
     def import_recording(self, path: str | Path) -> Flight:
         """Takes in a flight of Plumbline, a log of PX4, a recording of BROAD or RotorPy, or the folder of one of a Phantom 4.
@@ -195,7 +195,7 @@ class Ground:
 
     def experiment(self, id: str) -> Experiment:
         """One of them. Raises `NotFound`."""
-        found = Experiment(self._connection, {"id": id})
+        found = Experiment(self._connection, cast("models.State", {"id": id}))
         found.results()
         return found
 

@@ -10,19 +10,19 @@ from typing_extensions import NotRequired
 class Aim(TypedDict):
     """Something that a fit counts."""
 
-    best: NotRequired[int]
-    found: NotRequired[int]
-    needed: NotRequired[int]
-    what: NotRequired[str]
+    best: int
+    found: int
+    needed: int
+    what: str
 
 
 class Answer(TypedDict):
     """The answer to a command that the vehicle accepted; one that it rejected is a [`crate::Problem`] of status 409."""
 
-    command_id: NotRequired[int]
-    reason: NotRequired[str]
+    command_id: int
+    reason: str
     revision: NotRequired[int | None]
-    stage: NotRequired[str]
+    stage: str
 
 
 class Asked(TypedDict):
@@ -34,25 +34,25 @@ class Asked(TypedDict):
 class AtGround(TypedDict):
     """Another ground."""
 
-    address: NotRequired[str]
-    name: NotRequired[str]
+    address: str
+    name: str
 
 
 class CalibratedParameter(TypedDict):
     """One fitted number."""
 
-    name: NotRequired[str]
-    sigma: NotRequired[float | None]
-    unit: NotRequired[str]
-    value: NotRequired[float]
+    name: str
+    sigma: float | None
+    unit: str
+    value: float
 
 
 class Change(TypedDict):
     """‖ΔK‖/‖K‖ against the gains in use."""
 
-    largest: NotRequired[float | None]
-    row: NotRequired[str | None]
-    rows: NotRequired[dict[str, float | None]]
+    largest: float | None
+    row: str | None
+    rows: dict[str, float | None]
 
 
 class Code(TypedDict):
@@ -82,7 +82,7 @@ class Credentials(TypedDict):
 class Decoder(TypedDict):
     """`POST decoder`: what solves the secure estimator's program."""
 
-    decoder: str
+    decoder: Literal['l2', 'l1', 'l2_split', 'l1_split']
 
 
 class Design(TypedDict):
@@ -104,31 +104,31 @@ class Design(TypedDict):
 class Difference(TypedDict):
     """Differences of pairs of flights of the same seed."""
 
-    baseline: NotRequired[int]
-    effect: NotRequired[float | None]
-    interval: NotRequired[list[float] | None]
-    median: NotRequired[float]
-    pairs: NotRequired[int]
+    baseline: int
+    effect: float | None
+    interval: list[float] | None
+    median: float
+    pairs: int
 
 
 class Due(TypedDict):
     """One of `GET /api/v1/archive/due`: a flight that retention will delete."""
 
-    bytes: NotRequired[int]
-    deleted_unix_us: NotRequired[int | None]
-    id: NotRequired[str]
-    why: NotRequired[str]
+    bytes: int
+    deleted_unix_us: int | None
+    id: str
+    why: str
 
 
 class EnvelopeMultiplier(TypedDict):
     """A detector at one time, and its multiplier."""
 
-    detector: NotRequired[str]
-    limit: NotRequired[float]
-    multiplier: NotRequired[float]
+    detector: str
+    limit: float
+    multiplier: float
     sensor: NotRequired[str | None]
-    statistics: NotRequired[int]
-    time_s: NotRequired[float]
+    statistics: int
+    time_s: float
 
 
 class EnvelopeQuestion(TypedDict):
@@ -151,15 +151,15 @@ class EnvelopeQuestion(TypedDict):
 class EnvelopeSequence(TypedDict):
     """What is added to the samples of one sensor, one after another."""
 
-    period_s: NotRequired[float]
-    sensor: NotRequired[str]
-    values: NotRequired[list[float]]
+    period_s: float
+    sensor: str
+    values: list[float]
 
 
 class Estimator(TypedDict):
     """`POST estimator`: which is in the loop."""
 
-    estimator: str
+    estimator: Literal['ekf_bias', 'complementary', 'ekf_hybrid', 'ukf', 'constant_acceleration', 'vqf', 'secure', 'attitude_ekf', 'lanes']
 
 
 class Expectation(TypedDict):
@@ -168,26 +168,26 @@ class Expectation(TypedDict):
     says nothing: the model has any of them excluded, [`Condition::detected`] all.
     """
 
-    differs: NotRequired[bool]
-    note: NotRequired[str]
-    probability: NotRequired[float | None]
+    differs: bool
+    note: str
+    probability: float | None
 
 
 class ExperimentFlight(TypedDict):
     """One flight."""
 
-    condition: NotRequired[int]
-    index: NotRequired[int]
-    lost: NotRequired[str]
-    seed: NotRequired[int]
-    values: NotRequired[list[float | None]]
+    condition: int
+    index: int
+    lost: str
+    seed: int
+    values: list[float | None]
 
 
 class ExperimentFlights(TypedDict):
     """Flights of an experiment, some of them."""
 
-    flights: NotRequired[list[ExperimentFlight]]
-    total: NotRequired[int]
+    flights: list[ExperimentFlight]
+    total: int
 
 
 class Fit(TypedDict):
@@ -211,49 +211,65 @@ class Fit(TypedDict):
 class Fleet(TypedDict):
     """What grounds share."""
 
-    archive: NotRequired[str | None]
-    archive_error: NotRequired[str | None]
-    grounds: NotRequired[list[str] | None]
-    index: NotRequired[str | None]
-    live_error: NotRequired[str | None]
-    name: NotRequired[str]
-    waiting: NotRequired[int]
+    archive: str | None
+    archive_error: str | None
+    grounds: list[str] | None
+    index: str | None
+    live_error: str | None
+    name: str
+    waiting: int
 
 
 class Flown(TypedDict):
     """A step flown on the nonlinear vehicle; curves are columns of equal length."""
 
-    largest_command: NotRequired[list[float | None]]
-    output: NotRequired[str]
-    overshoot_percent: NotRequired[float | None]
-    response: NotRequired[list[float | None]]
-    rise_time_s: NotRequired[float | None]
-    saturated_s: NotRequired[float | None]
-    setpoint: NotRequired[list[float | None]]
-    settling_time_s: NotRequired[float | None]
-    size: NotRequired[float]
-    stayed: NotRequired[bool | None]
-    t_s: NotRequired[list[float | None]]
-    unit: NotRequired[str]
+    largest_command: list[float | None]
+    output: str
+    overshoot_percent: float | None
+    response: list[float | None]
+    rise_time_s: float | None
+    saturated_s: float | None
+    setpoint: list[float | None]
+    settling_time_s: float | None
+    size: float
+    stayed: bool | None
+    t_s: list[float | None]
+    unit: str
+
+
+class FlownAttack(TypedDict):
+    """One attack of a flight; `start_s` counts from the start of the flight."""
+
+    channel: Literal['all', 'gyro', 'accel', 'mag', 'x', 'y', 'z', 'gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z']
+    duration_s: float
+    instance: int
+    kind: Literal['zero', 'bias', 'ramp', 'scale', 'noise', 'freeze', 'replay', 'delay', 'dropout', 'sign_flip', 'parabola', 'time_shift']
+    magnitude: float
+    phase: str
+    seed: int
+    sensor: Literal['imu', 'height', 'barometer', 'gnss', 'mocap_pose', 'camera_ranges', 'rotor']
+    sequence: NotRequired[list[float]]
+    sequence_period_s: NotRequired[float | None]
+    start_s: float
 
 
 class FlownByHand(TypedDict):
     """What was said of a flight, and by whom."""
 
-    accepted: NotRequired[bool]
-    flight: NotRequired[str]
-    index: NotRequired[int]
-    reason: NotRequired[str]
-    unix_us: NotRequired[int]
-    who: NotRequired[str]
+    accepted: bool
+    flight: str
+    index: int
+    reason: str
+    unix_us: int
+    who: str
 
 
 class Imported(TypedDict):
     """`POST /api/v1/flights`: a recording from elsewhere is a flight now."""
 
-    already: NotRequired[bool]
-    flight: NotRequired[str]
-    notes: NotRequired[list[str]]
+    already: bool
+    flight: str
+    notes: list[str]
 
 
 class Labels(TypedDict):
@@ -266,55 +282,62 @@ class Labels(TypedDict):
 class Lease(TypedDict):
     """Who holds control of a vehicle."""
 
-    holder: NotRequired[str | None]
+    holder: str | None
     taken_from: NotRequired[str | None]
+
+
+class LiveAddress(TypedDict):
+    """`POST /api/v1/vehicles/{id}/foxglove`: where a program that cannot sign in sees a vehicle live."""
+
+    url: str
+    valid_s: int | None
 
 
 class Margin(TypedDict):
     """Margins of one input."""
 
-    crossover_radps: NotRequired[float | None]
-    delay_s: NotRequired[float | None]
-    gain_down: NotRequired[float | None]
-    gain_up: NotRequired[float | None]
-    input: NotRequired[str]
-    peak_sensitivity: NotRequired[float | None]
-    phase_rad: NotRequired[float | None]
+    crossover_radps: float | None
+    delay_s: float | None
+    gain_down: float | None
+    gain_up: float | None
+    input: str
+    peak_sensitivity: float | None
+    phase_rad: float | None
 
 
 class Matrix(TypedDict):
     """A matrix, row by row."""
 
-    columns: NotRequired[int]
-    rows: NotRequired[int]
-    values: NotRequired[list[float]]
+    columns: int
+    rows: int
+    values: list[float]
 
 
 class Measure(TypedDict):
     """A column of numbers."""
 
-    about: NotRequired[str]
-    name: NotRequired[str]
+    about: str
+    name: str
 
 
 class Mode(TypedDict):
     """`POST mode`."""
 
-    mode: str
+    mode: Literal['stabilise', 'altitude_hold', 'hold', 'land']
 
 
 class NewAuthenticator(TypedDict):
     """`POST /api/v1/session/authenticator`: a new one, which counts once a code of it has come back."""
 
-    secret: NotRequired[str]
-    svg: NotRequired[str]
-    url: NotRequired[str]
+    secret: str
+    svg: str
+    url: str
 
 
 class Opened(TypedDict):
     """A flight of an experiment, recorded."""
 
-    flight: NotRequired[str]
+    flight: str
 
 
 class Outline(TypedDict):
@@ -323,39 +346,39 @@ class Outline(TypedDict):
     loop.
     """
 
-    altitude_cm: NotRequired[list[list[int] | None]]
-    from_s: NotRequired[float]
-    step_s: NotRequired[float]
+    altitude_cm: list[list[int] | None]
+    from_s: float
+    step_s: float
 
 
 class Parameter(TypedDict):
     """A parameter and what it may be."""
 
-    max: NotRequired[float]
-    min: NotRequired[float]
-    name: NotRequired[str]
-    unit: NotRequired[str]
-    value: NotRequired[float]
+    max: float
+    min: float
+    name: str
+    unit: str
+    value: float
 
 
 class Part(TypedDict):
     """So many of so many."""
 
-    count: NotRequired[int]
-    interval: NotRequired[list[float]]
-    of: NotRequired[int]
+    count: int
+    interval: list[float]
+    of: int
 
 
 class PlannedAttack(TypedDict):
     """One attack."""
 
-    channel: NotRequired[str]
+    channel: NotRequired[Literal['all', 'gyro', 'accel', 'mag', 'x', 'y', 'z', 'gyro_x', 'gyro_y', 'gyro_z', 'accel_x', 'accel_y', 'accel_z']]
     duration_s: float
     instance: int
-    kind: str
+    kind: Literal['zero', 'bias', 'ramp', 'scale', 'noise', 'freeze', 'replay', 'delay', 'dropout', 'sign_flip', 'parabola', 'time_shift']
     magnitude: NotRequired[float]
     seed: NotRequired[int]
-    sensor: str
+    sensor: Literal['imu', 'height', 'barometer', 'gnss', 'mocap_pose', 'camera_ranges', 'rotor']
     sequence: NotRequired[list[float]]
     sequence_period_s: NotRequired[float | None]
     start_s: float
@@ -364,22 +387,22 @@ class PlannedAttack(TypedDict):
 class Policy(TypedDict):
     """What the vehicle's loops must forgive."""
 
-    change_max: NotRequired[float]
-    delay_min_s: NotRequired[float]
-    gain_down_max: NotRequired[float]
-    gain_up_min: NotRequired[float]
-    name: NotRequired[str]
-    phase_min_rad: NotRequired[float]
-    sensitivity_max: NotRequired[float]
-    slowest_pole_per_s: NotRequired[float]
-    unit_step_max: NotRequired[float]
+    change_max: float
+    delay_min_s: float
+    gain_down_max: float
+    gain_up_min: float
+    name: str
+    phase_min_rad: float
+    sensitivity_max: float
+    slowest_pole_per_s: float
+    unit_step_max: float
 
 
 class PreparedAttack(TypedDict):
     """An attack, and what is expected of it with lanes in the loop."""
 
     altitude_m: NotRequired[float | None]
-    attacks: NotRequired[list[PlannedAttack]]
+    attacks: list[PlannedAttack]
     note: NotRequired[str]
     position_m: NotRequired[float | None]
     probability: NotRequired[float | None]
@@ -393,14 +416,14 @@ class Problem(TypedDict):
     for people.
     """
 
-    code: NotRequired[str]
+    code: str
     command_id: NotRequired[int | None]
-    detail: NotRequired[str]
+    detail: str
     holder: NotRequired[str | None]
     revision: NotRequired[int | None]
-    status: NotRequired[int]
-    title: NotRequired[str]
-    type: NotRequired[str]
+    status: int
+    title: str
+    type: str
 
 
 class Recording(TypedDict):
@@ -419,8 +442,8 @@ class Replay(TypedDict):
 class Residual(TypedDict):
     """What the model leaves."""
 
-    unit: NotRequired[str]
-    value: NotRequired[float | None]
+    unit: str
+    value: float | None
 
 
 class Revision(TypedDict):
@@ -448,27 +471,27 @@ class Said(TypedDict):
 class Samples(TypedDict):
     """`GET /api/v1/flights/{id}/signal`, `GET /api/v1/vehicles/{id}/signal`: samples, or of each stretch of time the least and the greatest, in their order."""
 
-    samples: NotRequired[int]
-    time_s: NotRequired[list[float]]
-    value: NotRequired[list[float]]
+    samples: int
+    time_s: list[float]
+    value: list[float]
 
 
 class Series(TypedDict):
     """Points of one kind in a plot."""
 
-    line: NotRequired[bool]
-    name: NotRequired[str]
-    points: NotRequired[list[list[float | None]]]
+    line: bool
+    name: str
+    points: list[list[float | None]]
 
 
 class Session(TypedDict):
     """`GET /api/v1/session`: who asks."""
 
-    name: NotRequired[str | None]
-    role: NotRequired[Role | None]
-    sign_in_needed: NotRequired[bool]
-    signed_in: NotRequired[bool]
-    two_steps: NotRequired[bool]
+    name: str | None
+    role: Role | None
+    sign_in_needed: bool
+    signed_in: bool
+    two_steps: bool
 
 
 class Setpoint(TypedDict):
@@ -486,33 +509,33 @@ class Setpoint(TypedDict):
 class Share(TypedDict):
     """Largest command of an uncut step of 1 m or 1 rad."""
 
-    output: NotRequired[str]
-    share: NotRequired[float | None]
-    unit: NotRequired[str]
+    output: str
+    share: float | None
+    unit: str
 
 
 class Signal(TypedDict):
     """One number of one topic."""
 
-    name: NotRequired[str]
-    unit: NotRequired[str]
+    name: str
+    unit: str
 
 
 class Signals(TypedDict):
     """`GET /api/v1/flights/{id}/signals`, `GET /api/v1/vehicles/{id}/signals`."""
 
-    signals: NotRequired[list[Signal]]
-    start_s: NotRequired[float]
+    signals: list[Signal]
+    start_s: float
 
 
 SignedIn = TypedDict(
     'SignedIn',
     {
-        'account': NotRequired[str],
-        'begun_s': NotRequired[int],
-        'from': NotRequired[str],
-        'id': NotRequired[str],
-        'seen_s': NotRequired[int],
+        'account': str,
+        'begun_s': int,
+        'from': str,
+        'id': str,
+        'seen_s': int,
     },
 )
 
@@ -527,69 +550,69 @@ class Simulator(TypedDict):
 class Size(TypedDict):
     """What a plan comes to."""
 
-    by_hand: NotRequired[bool]
-    conditions: NotRequired[int]
-    done: NotRequired[int]
-    expected_s: NotRequired[float]
-    flights: NotRequired[int]
-    id: NotRequired[str]
-    repeats: NotRequired[int]
+    by_hand: bool
+    conditions: int
+    done: int
+    expected_s: float
+    flights: int
+    id: str
+    repeats: int
 
 
 class Spectrum(TypedDict):
     """`GET /api/v1/flights/{id}/spectrum`, `GET /api/v1/vehicles/{id}/spectrum`: Welch's method, Hann windows that overlap by half, one-sided."""
 
-    density: NotRequired[list[float]]
-    frequency_hz: NotRequired[list[float]]
-    harmonics_hz: NotRequired[list[float]]
-    mean: NotRequired[float]
-    rate_hz: NotRequired[float]
-    rms: NotRequired[float]
-    rotor_hz: NotRequired[float | None]
-    windows: NotRequired[int]
+    density: list[float]
+    frequency_hz: list[float]
+    harmonics_hz: list[float]
+    mean: float
+    rate_hz: float
+    rms: float
+    rotor_hz: float | None
+    windows: int
 
 
 class Spread(TypedDict):
     """Values of many flights."""
 
-    count: NotRequired[int]
-    interval: NotRequired[list[float] | None]
-    least: NotRequired[float]
-    median: NotRequired[float]
-    most: NotRequired[float]
-    of_95: NotRequired[float]
-    quarter: NotRequired[float]
-    three_quarters: NotRequired[float]
+    count: int
+    interval: list[float] | None
+    least: float
+    median: float
+    most: float
+    of_95: float
+    quarter: float
+    three_quarters: float
 
 
 class State(TypedDict):
     """How an experiment stands."""
 
-    by_hand: NotRequired[bool]
-    description: NotRequired[str]
-    done: NotRequired[int]
-    error: NotRequired[str | None]
-    flights: NotRequired[int]
-    id: NotRequired[str]
-    left_s: NotRequired[float | None]
-    made_unix_us: NotRequired[int]
-    name: NotRequired[str]
-    own: NotRequired[bool]
-    per_s: NotRequired[float | None]
-    running: NotRequired[bool]
+    by_hand: bool
+    description: str
+    done: int
+    error: str | None
+    flights: int
+    id: str
+    left_s: float | None
+    made_unix_us: int
+    name: str
+    own: bool
+    per_s: float | None
+    running: bool
 
 
 class Step(TypedDict):
     """One setpoint step of a flight."""
 
-    from_m: NotRequired[float]
-    interrupted: NotRequired[bool]
-    overshoot_percent: NotRequired[float]
-    rise_time_s: NotRequired[float | None]
-    settling_time_s: NotRequired[float | None]
-    start_s: NotRequired[float]
-    steady_error_m: NotRequired[float | None]
-    to_m: NotRequired[float]
+    from_m: float
+    interrupted: bool
+    overshoot_percent: float
+    rise_time_s: float | None
+    settling_time_s: float | None
+    start_s: float
+    steady_error_m: float | None
+    to_m: float
 
 
 class Steps(TypedDict):
@@ -604,9 +627,9 @@ class Steps(TypedDict):
 class Storage(TypedDict):
     """What the recordings take and leave."""
 
-    flights: NotRequired[int]
-    free_bytes: NotRequired[int]
-    used_bytes: NotRequired[int]
+    flights: int
+    free_bytes: int
+    used_bytes: int
 
 
 class Taken(TypedDict):
@@ -615,20 +638,20 @@ class Taken(TypedDict):
     are unit vectors in the body frame FLU.
     """
 
-    aims: NotRequired[list[Aim]]
-    bands: NotRequired[int]
-    field: NotRequired[list[float] | None]
-    imu: NotRequired[int]
-    kind: NotRequired[str]
-    poses: NotRequired[list[list[float]]]
-    problem: NotRequired[str]
-    ready: NotRequired[bool]
-    samples: NotRequired[int]
-    sectors: NotRequired[list[bool]]
-    span_s: NotRequired[float]
-    still: NotRequired[float]
-    undetermined: NotRequired[str]
-    up: NotRequired[list[float] | None]
+    aims: list[Aim]
+    bands: int
+    field: list[float] | None
+    imu: int
+    kind: str
+    poses: list[list[float]]
+    problem: str
+    ready: bool
+    samples: int
+    sectors: list[bool]
+    span_s: float
+    still: float
+    undetermined: str
+    up: list[float] | None
 
 
 class Taking(TypedDict):
@@ -645,7 +668,7 @@ class Trajectory(TypedDict):
     duration_s: NotRequired[float | None]
     hold_s: NotRequired[float | None]
     period_s: NotRequired[float | None]
-    shape: str
+    shape: Literal['circle', 'sine', 'square', 'heave', 'altitudes']
     size_m: NotRequired[float | None]
     speed_mps: NotRequired[float | None]
 
@@ -659,15 +682,15 @@ class Using(TypedDict):
 class Vehicle(TypedDict):
     """One of `GET /api/v1/vehicles`."""
 
-    armed: NotRequired[bool | None]
-    boot_id: NotRequired[int]
-    connected: NotRequired[bool]
+    armed: bool | None
+    boot_id: int
+    connected: bool
     ground: NotRequired[AtGround | None]
-    id: NotRequired[str]
-    mode: NotRequired[str | None]
-    rig: NotRequired[str]
-    vehicle: NotRequired[str]
-    version: NotRequired[str]
+    id: str
+    mode: str | None
+    rig: str
+    vehicle: str
+    version: str
 
 
 class Which(TypedDict):
@@ -681,7 +704,7 @@ class Account(TypedDict):
 
     name: str
     role: Role
-    two_steps: NotRequired[bool]
+    two_steps: bool
 
 
 class AccountChange(TypedDict):
@@ -713,40 +736,40 @@ class AttackQuestion(TypedDict):
 class Condition(TypedDict):
     """The flights of one condition."""
 
-    detected: NotRequired[Part | None]
-    differences: NotRequired[list[Difference | None]]
-    expected: NotRequired[Expectation | None]
-    flights: NotRequired[int]
-    levels: NotRequired[list[str]]
-    lost: NotRequired[dict[str, int]]
-    measures: NotRequired[list[Spread | None]]
-    number: NotRequired[int]
-    tick_us: NotRequired[list[float] | None]
+    detected: Part | None
+    differences: list[Difference | None]
+    expected: Expectation | None
+    flights: int
+    levels: list[str]
+    lost: dict[str, int]
+    measures: list[Spread | None]
+    number: int
+    tick_us: list[float] | None
 
 
 class Controller(TypedDict):
     """One controller that can be chosen."""
 
-    controller: NotRequired[str]
-    input_weight: NotRequired[list[float] | None]
-    parameters: NotRequired[list[Parameter]]
-    state_weight: NotRequired[list[float] | None]
-    weighted: NotRequired[bool]
+    controller: str
+    input_weight: list[float] | None
+    parameters: list[Parameter]
+    state_weight: list[float] | None
+    weighted: bool
 
 
 class Controllers(TypedDict):
     """The answer of `GET /api/v1/design/controllers`."""
 
-    airframe: NotRequired[str]
-    controllers: NotRequired[list[Controller]]
+    airframe: str
+    controllers: list[Controller]
 
 
 class EnvelopeCertificate(TypedDict):
     """Why no silent attack goes further: cᵀa ≤ Σ |λᵢ| lᵢ + Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ for any λ, and these are some."""
 
-    added_m: NotRequired[float]
-    multipliers: NotRequired[list[EnvelopeMultiplier]]
-    regime: NotRequired[str]
+    added_m: float
+    multipliers: list[EnvelopeMultiplier]
+    regime: str
 
 
 class EnvelopeSet(TypedDict):
@@ -761,9 +784,9 @@ class EnvelopeSet(TypedDict):
     position_m: NotRequired[float | None]
     reached: NotRequired[float | None]
     reached_m: NotRequired[float | None]
-    sensors: NotRequired[list[str]]
+    sensors: list[str]
     tilt_rad: NotRequired[float | None]
-    took_ms: NotRequired[float]
+    took_ms: float
     velocity_mps: NotRequired[float | None]
 
 
@@ -773,56 +796,92 @@ class Examined(TypedDict):
     lag and one tick of delay in it.
     """
 
-    continuous_poles_per_s: NotRequired[list[list[float | None]]]
-    margins: NotRequired[list[Margin]]
-    peak_sensitivity: NotRequired[float | None]
-    sampled_poles: NotRequired[list[list[float | None]]]
-    slowest_pole_per_s: NotRequired[float | None]
+    continuous_poles_per_s: list[list[float | None]]
+    margins: list[Margin]
+    peak_sensitivity: float | None
+    sampled_poles: list[list[float | None]]
+    slowest_pole_per_s: float | None
 
 
 class Experiments(TypedDict):
     """`GET /api/v1/experiments`, newest first."""
 
-    experiments: NotRequired[list[State]]
-    total: NotRequired[int]
+    experiments: list[State]
+    total: int
 
 
-class FlownAttack(PlannedAttack):
-    """One attack of a flight; `start_s` counts from the start of the flight."""
+class Flight(TypedDict):
+    """One flight: one field for each key of the answer, hence so many."""
 
-    phase: NotRequired[str]
+    agent_version: str
+    airframe: str
+    attacks: list[FlownAttack]
+    away: bool
+    boot_id: int
+    completeness: Completeness
+    counts: dict[str, int]
+    deleted_unix_us: int | None
+    duration_s: float
+    filled: int
+    first_sequence: int | None
+    ground: str | None
+    id: str
+    last_sequence: int | None
+    live: int
+    messages: int
+    missing: int
+    name: str
+    notes: str
+    outline: NotRequired[Outline | None]
+    rig: str
+    seed: int
+    size_bytes: int
+    started_unix_us: int
+    steps: list[Step]
+    tracking_rms_m: float | None
+    vehicle: str
+    vehicle_id: str
+
+
+class Flights(TypedDict):
+    """`GET /api/v1/flights`."""
+
+    flights: list[Flight]
+    ready: bool
+    storage: Storage
+    total: int
 
 
 class Gains(TypedDict):
     """`GET /api/v1/vehicles/{id}/gains`: those in use, absent until the agent has reported them, and every push."""
 
-    certificate: NotRequired[dict[str, Any] | None]
-    controller: NotRequired[str | None]
-    input_weight: NotRequired[list[float] | None]
-    k: NotRequired[Matrix | None]
-    parameters: NotRequired[dict[str, float]]
-    revision: NotRequired[int | None]
-    revisions: NotRequired[list[Revision]]
-    sha256: NotRequired[str | None]
-    slowest_pole_per_s: NotRequired[float | None]
-    state_weight: NotRequired[list[float] | None]
+    certificate: dict[str, Any] | None
+    controller: str | None
+    input_weight: list[float] | None
+    k: Matrix | None
+    parameters: dict[str, float] | None
+    revision: int | None
+    revisions: list[Revision]
+    sha256: str | None
+    slowest_pole_per_s: float | None
+    state_weight: list[float] | None
 
 
 class Ground(TypedDict):
     """`GET /api/v1/ground`."""
 
-    address: NotRequired[str]
-    data_folder: NotRequired[str]
-    fleet: NotRequired[Fleet | None]
-    handshakes_broken_off: NotRequired[int]
-    identity_error: NotRequired[str | None]
-    recording_error: NotRequired[str | None]
-    refused_peers: NotRequired[int]
-    schema: NotRequired[int]
-    set_aside: NotRequired[list[str]]
-    storage: NotRequired[Storage]
-    uptime_s: NotRequired[float]
-    version: NotRequired[str]
+    address: str
+    data_folder: str
+    fleet: Fleet | None
+    handshakes_broken_off: int
+    identity_error: str | None
+    recording_error: str | None
+    refused_peers: int
+    schema: int
+    set_aside: list[str]
+    storage: Storage
+    uptime_s: float
+    version: str
 
 
 class NewAccount(TypedDict):
@@ -836,35 +895,35 @@ class NewAccount(TypedDict):
 class NextByHand(TypedDict):
     """What an operator is led through."""
 
-    attacks: NotRequired[list[PlannedAttack]]
-    estimator: NotRequired[str]
-    flights: NotRequired[int]
-    gains: NotRequired[int | None]
-    index: NotRequired[int]
-    lacks: NotRequired[str]
-    lasts_s: NotRequired[float]
-    levels: NotRequired[list[str]]
-    path: NotRequired[Trajectory]
-    place: NotRequired[int]
-    rest_left_s: NotRequired[float]
-    vehicle: NotRequired[str]
+    attacks: list[PlannedAttack]
+    estimator: str
+    flights: int
+    gains: int | None
+    index: int
+    lacks: str
+    lasts_s: float
+    levels: list[str]
+    path: Trajectory
+    place: int
+    rest_left_s: float
+    vehicle: str
 
 
 class People(TypedDict):
     """`GET /api/v1/people`, and `GET /api/v1/sessions` without accounts."""
 
-    accounts: NotRequired[list[Account]]
-    sessions: NotRequired[list[SignedIn]]
+    accounts: list[Account]
+    sessions: list[SignedIn]
 
 
 class Picture(TypedDict):
     """One plot of a fit."""
 
-    log: NotRequired[bool]
-    series: NotRequired[list[Series]]
-    title: NotRequired[str]
-    x: NotRequired[str]
-    y: NotRequired[str]
+    log: bool
+    series: list[Series]
+    title: str
+    x: str
+    y: str
 
 
 class Preview(TypedDict):
@@ -873,118 +932,87 @@ class Preview(TypedDict):
     suffice is answered, with `accepted` false.
     """
 
-    accepted: NotRequired[bool]
-    airframe: NotRequired[str]
-    attitude: NotRequired[Examined]
-    change: NotRequired[Change | None]
-    controller: NotRequired[str]
-    gains: NotRequired[dict[str, Any] | None]
-    k: NotRequired[list[list[float]] | None]
-    k_in_use: NotRequired[list[list[float]] | None]
-    parameters: NotRequired[list[Parameter]]
-    policy: NotRequired[Policy]
-    position: NotRequired[Examined]
-    refusal: NotRequired[str | None]
-    steps: NotRequired[list[Flown]]
-    tick_rate_hz: NotRequired[float]
-    unit_step: NotRequired[list[Share]]
+    accepted: bool
+    airframe: str
+    attitude: Examined
+    change: Change | None
+    controller: str
+    gains: dict[str, Any] | None
+    k: list[list[float]] | None
+    k_in_use: list[list[float]] | None
+    parameters: list[Parameter]
+    policy: Policy
+    position: Examined
+    refusal: str | None
+    steps: list[Flown]
+    tick_rate_hz: float
+    unit_step: list[Share]
 
 
-class Question(Design):
+class Question(TypedDict):
     """`POST /api/v1/design/preview`: a design, and the steps to fly under it, in one object."""
 
+    airframe: NotRequired[str | None]
+    certificate: NotRequired[dict[str, Any] | None]
+    controller: NotRequired[str | None]
     duration_s: NotRequired[float | None]
+    format: NotRequired[str | None]
+    input_weight: NotRequired[list[float] | None]
+    k: NotRequired[list[list[float]] | None]
+    k_attitude: NotRequired[list[list[float]] | None]
+    parameters: NotRequired[dict[str, float]]
+    state_weight: NotRequired[list[float] | None]
     step: Steps
+    tick_rate_hz: NotRequired[float | None]
+    units: NotRequired[dict[str, Any] | None]
 
 
 class Results(TypedDict):
     """What is there of an experiment, condition by condition."""
 
-    conditions: NotRequired[list[Condition]]
-    factors: NotRequired[list[str]]
-    measures: NotRequired[list[Measure]]
-    notes: NotRequired[list[str]]
-    state: NotRequired[State]
+    conditions: list[Condition]
+    factors: list[str]
+    measures: list[Measure]
+    notes: list[str]
+    state: State
 
 
 class ByHand(TypedDict):
     """An experiment that an operator flies."""
 
-    next: NotRequired[NextByHand | None]
-    said: NotRequired[list[FlownByHand]]
+    next: NextByHand | None
+    said: list[FlownByHand]
 
 
 class Calibration(TypedDict):
     """A calibration: the agent's file, with the name it is kept under. An agent reads it as it is."""
 
     covariance: NotRequired[list[list[float]] | None]
-    date: NotRequired[str]
-    id: NotRequired[str]
-    input: NotRequired[str]
-    kind: NotRequired[str]
-    notes: NotRequired[list[str]]
-    parameters: NotRequired[list[CalibratedParameter]]
+    date: str
+    id: str
+    input: str
+    kind: str
+    notes: list[str]
+    parameters: list[CalibratedParameter]
     picture: NotRequired[list[Picture]]
-    residual: NotRequired[Residual]
-    samples: NotRequired[int]
-    schema: NotRequired[int]
-    sensor: NotRequired[int | None]
-    span_s: NotRequired[list[float] | None]
+    residual: Residual
+    samples: int
+    schema: int
+    sensor: int | None
+    span_s: list[float] | None
 
 
 class Calibrations(TypedDict):
     """`GET /api/v1/calibrations`."""
 
-    calibrations: NotRequired[list[Calibration]]
-    total: NotRequired[int]
+    calibrations: list[Calibration]
+    total: int
 
 
 class Envelope(TypedDict):
     """The bounds of all sets asked for."""
 
-    airframe: NotRequired[str]
-    horizon_s: NotRequired[float]
-    sets: NotRequired[list[EnvelopeSet]]
-    suite: NotRequired[str]
-
-
-class Flight(TypedDict):
-    """One flight: one field for each key of the answer, hence so many."""
-
-    agent_version: NotRequired[str]
-    airframe: NotRequired[str]
-    attacks: NotRequired[list[FlownAttack]]
-    away: NotRequired[bool]
-    boot_id: NotRequired[int]
-    completeness: NotRequired[Completeness]
-    counts: NotRequired[dict[str, int]]
-    deleted_unix_us: NotRequired[int | None]
-    duration_s: NotRequired[float]
-    filled: NotRequired[int]
-    first_sequence: NotRequired[int | None]
-    ground: NotRequired[str | None]
-    id: NotRequired[str]
-    last_sequence: NotRequired[int | None]
-    live: NotRequired[int]
-    messages: NotRequired[int]
-    missing: NotRequired[int]
-    name: NotRequired[str]
-    notes: NotRequired[str]
-    outline: NotRequired[Outline | None]
-    rig: NotRequired[str]
-    seed: NotRequired[int]
-    size_bytes: NotRequired[int]
-    started_unix_us: NotRequired[int]
-    steps: NotRequired[list[Step]]
-    tracking_rms_m: NotRequired[float | None]
-    vehicle: NotRequired[str]
-    vehicle_id: NotRequired[str]
-
-
-class Flights(TypedDict):
-    """`GET /api/v1/flights`."""
-
-    flights: NotRequired[list[Flight]]
-    ready: NotRequired[bool]
-    storage: NotRequired[Storage]
-    total: NotRequired[int]
+    airframe: str
+    horizon_s: float
+    sets: list[EnvelopeSet]
+    suite: str

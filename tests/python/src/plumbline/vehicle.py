@@ -44,6 +44,11 @@ class Vehicle:
         """Its live telemetry, beginning so many seconds back (two minutes at most)."""
         return Live(self._connection, self.id, history_s)
 
+    def foxglove_address(self) -> models.LiveAddress:
+        """Where Foxglove sees it live: where people sign in once, within minutes, with your role and while you are signed in."""
+        address: models.LiveAddress = self._connection.json("POST", self.path("foxglove"))
+        return address
+
     def lease(self) -> models.Lease:
         """Who holds control."""
         lease: models.Lease = self._connection.json("GET", self.path("lease"))
