@@ -768,6 +768,7 @@ class EnvelopeCertificate(TypedDict):
     """Why no silent attack goes further: cᵀa ≤ Σ |λᵢ| lᵢ + Σⱼ |c − Σ λᵢ mᵢ|ⱼ uⱼ for any λ, and these are some."""
 
     added_m: float
+    end_s: float
     multipliers: list[EnvelopeMultiplier]
     regime: str
 
