@@ -46,7 +46,8 @@ pub struct Expected {
     /// Of each of [`DRAWN`] flights the most that the statistic of an attacked sensor reached, of its limit; infinite where it was seen: a
     /// sensor was excluded, or the heights were found to contradict each other.
     pub scores: Vec<f64>,
-    /// Furthest that it moves the altitude in the linear loop, m: in each of those flights until it is seen, of all of them the most.
+    /// Furthest that it moves the altitude in the linear loop, m: in each of those flights until it is seen or no longer followed, of all of them
+    /// the most.
     pub altitude_m: f64,
     /// Furthest that it moves the linear loop along a horizontal axis: tilt (rad), velocity (m/s) and position (m); 0 along z.
     pub aside: [f64; 3],
@@ -99,7 +100,7 @@ pub fn expected(shaken: &Loop, added: &[Added<'_>], horizon_s: f64, seed: u64) -
         }
     }
     let (attacked, residuals_m, differs) = (&attacked, &residuals_m[..], &differs[..]);
-    let heard = Heard { attacked, residuals_m, differs, schedule: &schedule, maps: &maps, horizon_s };
+    let heard = Heard { attacked, added, residuals_m, differs, schedule: &schedule, maps: &maps, horizon_s };
     let (scores, unseen): (Vec<f64>, Vec<usize>) =
         (0..DRAWN).map(|number| heard.score(number, &mut dice(seed, number))).unzip();
     let longest = unseen.into_iter().max().unwrap_or_default().min(within);
@@ -114,6 +115,7 @@ pub(super) fn dice(seed: u64, number: u64) -> Xoshiro256PlusPlus {
 
 struct Heard<'a> {
     attacked: &'a Attacked<'a>,
+    added: &'a [Added<'a>],
     /// Of the heights, slot by slot, without noise.
     residuals_m: &'a [[f64; MAX_HEIGHTS]],
     /// For each of [`BEGUN`], slot by slot.
@@ -125,7 +127,7 @@ struct Heard<'a> {
 }
 
 impl Heard<'_> {
-    /// See [`Expected::scores`], with noise of these `dice`; and how many slots of the attack have gone by when it is seen.
+    /// See [`Expected::scores`], with noise of these `dice`; and for how many slots the attack is followed.
     fn score(&self, flight: u64, dice: &mut Xoshiro256PlusPlus) -> (f64, usize) {
         let (mut judges, mut most) = (Judged::default(), 0.0);
         let differs = self.differs.get(flight as usize % BEGUN.len()).map_or(&[][..], Vec::as_slice);
@@ -133,17 +135,21 @@ impl Heard<'_> {
         let before = ((BEFORE_S / SLOT) as usize).next_multiple_of(self.schedule.len().max(1));
         let slots = before + (self.horizon_s / SLOT).ceil() as usize;
         let mut states = vec![[0.0; STATES]; self.attacked.flying.white.1.len()];
+        // Heights that have parted are not followed.
+        let mut parted = None;
         for number in 0..slots {
             let (heights, noises) = self.heights(number, before, dice);
             let attacked = number.checked_sub(before).and_then(|number| differs.get(number));
             let lanes = self.lanes(attacked.map_or(&[], Vec::as_slice), number, &mut states, &noises, dice);
-            judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &lanes);
-            if number >= before {
-                most = f64::max(most, self.ratio(&judges));
-            }
+            let coasted = self.coasted(number, before, &noises);
+            judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &coasted, &lanes);
+            let Some(under) = number.checked_sub(before) else { continue };
+            let refused = self.attacked.heights.iter().any(|i| judges.refuses(*i));
+            parted = if refused { parted.or(Some(under)) } else { None };
+            most = f64::max(most, self.ratio(&judges));
             if most.is_infinite() {
                 // The lanes judge that far back.
-                return (most, number - before + 1 + (HORIZON_S / SLOT).ceil() as usize);
+                return (most, parted.unwrap_or(under + 1 + (HORIZON_S / SLOT).ceil() as usize));
             }
         }
         (most, slots)
@@ -156,6 +162,30 @@ impl Heard<'_> {
         let height = |i: &usize| judges.height_ratio(*i);
         let imu = |i: &usize| judges.imu_ratio(*i);
         self.attacked.heights.iter().map(height).chain(self.attacked.imus.iter().map(imu)).fold(0.0, f64::max)
+    }
+
+    /// What the heights read in slot `number` from the altitude as it is, which accelerations alone follow, with these `noises`.
+    fn coasted(
+        &self,
+        number: usize,
+        before: usize,
+        noises: &[f64; MAX_HEIGHTS],
+    ) -> [Option<(FlightTime, f64)>; MAX_HEIGHTS] {
+        let end_s = (number + 1) as f64 * SLOT;
+        let ages = self.schedule.get(number % self.schedule.len().max(1)).copied().unwrap_or_default();
+        let is_its = |one: &Added<'_>, i: usize| {
+            one.sensor.kind == SensorKind::Height && usize::from(one.sensor.instance) == i + 1
+        };
+        std::array::from_fn(|i| {
+            let (age_s, noise_m) = (ages.get(i).copied().flatten()?, noises.get(i)?);
+            let since_s = end_s - age_s - before as f64 * SLOT;
+            let added_m: f64 = if since_s < 0.0 {
+                0.0
+            } else {
+                self.added.iter().filter(|one| is_its(one, i)).map(|one| (one.at)(since_s)).sum()
+            };
+            Some((FlightTime::from_seconds(end_s - age_s), added_m + noise_m))
+        })
     }
 
     /// What the heights read in slot `number`, from the altitude, and the noise in it.

@@ -150,7 +150,7 @@ impl<'a> Heard<'a> {
             }
             let end = FlightTime::from_seconds((number + 1) as f64 * SLOT);
             for (judges, heard) in judges.iter_mut().zip(&heard) {
-                judges.take(end, ALTITUDE_M, &[None; MAX_HEIGHTS], heard);
+                judges.take(end, ALTITUDE_M, &[None; MAX_HEIGHTS], &[None; MAX_HEIGHTS], heard);
             }
             if under.is_some() {
                 let ratio = |(judges, i): (&Judged, usize)| {

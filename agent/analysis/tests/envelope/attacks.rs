@@ -22,7 +22,7 @@ fn two_heights_that_jump_together_contradict_the_third_before_they_move_anything
     for bias_m in [0.3, 1.0] {
         let found = of(&[("height 1", bias_m), ("height 2", bias_m)]);
         println!("{bias_m} m: {} of {DRAWN}, {:.1} cm", found.seen(), 100.0 * found.altitude_m);
-        assert!(found.seen() == DRAWN && found.altitude_m < 0.1 * bias_m, "{found:?}");
+        assert!(found.seen() == DRAWN && found.altitude_m < 0.01, "{found:?}");
     }
 }
 
@@ -31,13 +31,13 @@ fn the_larger_the_surer_and_nothing_is_hardly_ever_seen() {
     let parts = [0.0, 0.03, 0.1, 0.3].map(|bias_m| of(&[("height 2", bias_m)]));
     println!("{parts:?}");
     assert!(parts[0].seen() <= 2 && parts[0].altitude_m == 0.0 && parts[3].seen() == DRAWN, "{parts:?}");
-    assert!(parts.windows(2).all(|two| two[1].seen() >= two[0].seen() && two[1].altitude_m > two[0].altitude_m));
+    assert!(parts.windows(2).all(|two| two[1].seen() >= two[0].seen()));
+    assert!(parts[1].altitude_m > 0.005 && parts[2].altitude_m > parts[1].altitude_m, "{parts:?}");
+    // A step that parts it from the others is not followed at all.
+    assert!(parts[3].altitude_m < 0.01, "{parts:?}");
     let accel = [0.02, 0.3, 3.0].map(|bias| of(&[("imu 1", bias)]));
     println!("{accel:?}");
     assert!(accel[0].seen() <= 2 && accel[2].seen() == DRAWN, "{accel:?}");
-    // Two of three outvote the third: what is excluded is not attacked.
-    let two = of(&[("height 1", 0.1), ("height 2", 0.1)]);
-    assert!(two.seen() < parts[2].seen(), "{two:?}");
 }
 
 fn question(generator: Option<&str>, sensors: &[&str]) -> AttackQuestion {
@@ -370,10 +370,10 @@ fn the_step_of_a_bias_is_taken_for_noise_beside_other_noise() {
 fn two_of_three_heights_have_the_sequence_that_is_judged() {
     let found = prepared(&question(Some("optimal"), &["height 1", "height 2"]), None).unwrap();
     println!("{:?} {:?} {}", found.probability, found.altitude_m, found.note);
-    // The judged loop has everything weighing fully: there it goes as far as it says.
+    // The judged loop has everything weighing fully: there it goes as far as it says, or until noise has the healthy one excluded.
     let (_, says) = found.note.split_once("which reaches ").unwrap();
     let reaches_m = 0.01 * says.split_once(" cm").unwrap().0.parse::<f64>().unwrap();
-    assert!((found.altitude_m.unwrap() / reaches_m - 1.0).abs() < 0.02, "{:?} {reaches_m}", found.altitude_m);
+    assert!((0.6..1.02).contains(&(found.altitude_m.unwrap() / reaches_m)), "{:?} {reaches_m}", found.altitude_m);
 }
 
 #[test]

@@ -41,19 +41,23 @@ fn along_z(value: f64) -> Six {
 }
 
 impl Judged {
-    /// A slot that ends at `end`, the vehicle at `z_m`: when each height measured what, from `z_m`, m, and what each lane made of it.
+    /// A slot that ends at `end`, the vehicle at `z_m`: when each height measured what, m, from where the lanes had it and `coasted`, by
+    /// accelerations alone, which is what decides once heights part; and what each lane made of it.
     pub fn take(
         &mut self,
         end: FlightTime,
         z_m: f64,
         heights: &[Option<(FlightTime, f64)>; MAX_HEIGHTS],
+        coasted: &[Option<(FlightTime, f64)>; MAX_HEIGHTS],
         lanes: &PerLane<Option<LaneHeard>>,
     ) {
-        let mut samples = *heights;
-        for (i, sample) in samples.iter_mut().enumerate() {
-            let Some((time, off_m)) = sample else { continue };
-            *off_m -= self.heights.off_m(i, z_m);
-            self.heights.take(i, *time, *off_m);
+        let mut samples = *coasted;
+        for (i, (sample, measured)) in samples.iter_mut().zip(heights).enumerate() {
+            let learned_m = self.heights.off_m(i, z_m);
+            if let Some((time, off_m)) = measured {
+                self.heights.take(i, *time, off_m - learned_m);
+            }
+            sample.iter_mut().for_each(|(_, off_m)| *off_m -= learned_m);
         }
         self.heights.split.take(end, (0.0, 0.0), (0.0, 0.0), &samples);
         let _ = self.heights.decode(end, z_m, false, true);
@@ -72,6 +76,11 @@ impl Judged {
     /// Is height `index` excluded?
     pub fn height(&self, index: usize) -> bool {
         self.heights.is_excluded(index)
+    }
+
+    /// Is height `index` not used, since it parted from others?
+    pub fn refuses(&self, index: usize) -> bool {
+        self.heights.split.refuses(index)
     }
 
     /// Do the heights contradict each other, so that none is used?
