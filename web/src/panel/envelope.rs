@@ -135,7 +135,7 @@ pub fn EnvelopeBeside(
     }));
     view! {
         <section class="card facts" aria-label="Attack envelope of the design">
-            <header><h2>"Attack envelope" <small>"lanes, within 10 s, at most"</small></h2></header>
+            <header><h2>"Attack envelope" <small>"at most, within 10 s"</small></h2></header>
             {move || match (answer(found, 0), answer(found, 1)) {
                 (_, None) => view! { <p class="quiet">"…"</p> }.into_any(),
                 (_, Some(Err(why))) => view! { <p class="bad">{format!("No envelope: {why}.")}</p> }.into_any(),
