@@ -113,6 +113,9 @@ pub(super) fn dice(seed: u64, number: u64) -> Xoshiro256PlusPlus {
     Xoshiro256PlusPlus::seed_from_u64(seed ^ (number << 20))
 }
 
+/// When each height was sampled, and what it read, m.
+type Read = [Option<(FlightTime, f64)>; MAX_HEIGHTS];
+
 struct Heard<'a> {
     attacked: &'a Attacked<'a>,
     added: &'a [Added<'a>],
@@ -138,10 +141,9 @@ impl Heard<'_> {
         // Heights that have parted are not followed.
         let mut parted = None;
         for number in 0..slots {
-            let (heights, noises) = self.heights(number, before, dice);
+            let (heights, coasted, noises) = self.heights(number, before, dice);
             let attacked = number.checked_sub(before).and_then(|number| differs.get(number));
             let lanes = self.lanes(attacked.map_or(&[], Vec::as_slice), number, &mut states, &noises, dice);
-            let coasted = self.coasted(number, before, &noises);
             judges.take(FlightTime::from_seconds((number + 1) as f64 * SLOT), ALTITUDE_M, &heights, &coasted, &lanes);
             let Some(under) = number.checked_sub(before) else { continue };
             let refused = self.attacked.heights.iter().any(|i| judges.refuses(*i));
@@ -164,50 +166,28 @@ impl Heard<'_> {
         self.attacked.heights.iter().map(height).chain(self.attacked.imus.iter().map(imu)).fold(0.0, f64::max)
     }
 
-    /// What the heights read in slot `number` from the altitude as it is, which accelerations alone follow, with these `noises`.
-    fn coasted(
-        &self,
-        number: usize,
-        before: usize,
-        noises: &[f64; MAX_HEIGHTS],
-    ) -> [Option<(FlightTime, f64)>; MAX_HEIGHTS] {
+    /// What the heights read in slot `number` from where the lanes have the altitude, and from the altitude as it is, which accelerations
+    /// alone follow; and the noise in both.
+    fn heights(&self, number: usize, before: usize, dice: &mut Xoshiro256PlusPlus) -> (Read, Read, [f64; MAX_HEIGHTS]) {
         let end_s = (number + 1) as f64 * SLOT;
         let ages = self.schedule.get(number % self.schedule.len().max(1)).copied().unwrap_or_default();
-        let is_its = |one: &Added<'_>, i: usize| {
-            one.sensor.kind == SensorKind::Height && usize::from(one.sensor.instance) == i + 1
-        };
-        std::array::from_fn(|i| {
-            let (age_s, noise_m) = (ages.get(i).copied().flatten()?, noises.get(i)?);
-            let since_s = end_s - age_s - before as f64 * SLOT;
-            let added_m: f64 = if since_s < 0.0 {
-                0.0
-            } else {
-                self.added.iter().filter(|one| is_its(one, i)).map(|one| (one.at)(since_s)).sum()
-            };
-            Some((FlightTime::from_seconds(end_s - age_s), added_m + noise_m))
-        })
-    }
-
-    /// What the heights read in slot `number`, from the altitude, and the noise in it.
-    #[allow(clippy::type_complexity, reason = "what the judges take, and its part")]
-    fn heights(
-        &self,
-        number: usize,
-        before: usize,
-        dice: &mut Xoshiro256PlusPlus,
-    ) -> ([Option<(FlightTime, f64)>; MAX_HEIGHTS], [f64; MAX_HEIGHTS]) {
-        let end_s = (number + 1) as f64 * SLOT;
-        let ages = self.schedule.get(number % self.schedule.len().max(1)).copied().unwrap_or_default();
-        let (mut heights, mut noises) = ([None; MAX_HEIGHTS], [0.0; MAX_HEIGHTS]);
-        for (i, ((place, noise), age_s)) in heights.iter_mut().zip(&mut noises).zip(ages).enumerate() {
+        let (mut heights, mut coasted, mut noises) = ([None; MAX_HEIGHTS], [None; MAX_HEIGHTS], [0.0; MAX_HEIGHTS]);
+        let places = heights.iter_mut().zip(&mut coasted).zip(&mut noises).zip(ages).enumerate();
+        for (i, (((height, coasted), noise), age_s)) in places {
             let Some(age_s) = age_s else { continue };
             let draw: f64 = StandardNormal.sample(dice);
             *noise = self.attacked.flying.white.0.get(i).map_or(0.0, |sigma_m| sigma_m * draw);
             let slot = number.checked_sub(before).and_then(|number| self.residuals_m.get(number));
             let residual_m = slot.and_then(|slot| slot.get(i)).copied().unwrap_or_default();
-            *place = Some((FlightTime::from_seconds(end_s - age_s), *noise + residual_m));
+            let since_s = end_s - age_s - before as f64 * SLOT;
+            let is_its =
+                |one: &&Added<'_>| one.sensor.kind == SensorKind::Height && usize::from(one.sensor.instance) == i + 1;
+            let added = self.added.iter().filter(is_its).filter(|_| since_s >= 0.0);
+            let added_m: f64 = added.map(|one| (one.at)(since_s)).sum();
+            let time = FlightTime::from_seconds(end_s - age_s);
+            (*height, *coasted) = (Some((time, *noise + residual_m)), Some((time, *noise + added_m)));
         }
-        (heights, noises)
+        (heights, coasted, noises)
     }
 
     /// What the lanes make of slot `number`, whose heights have this noise, from what noise made of their `states` before; of those attacked

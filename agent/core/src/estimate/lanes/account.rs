@@ -68,7 +68,7 @@ impl Lanes {
             }
         }
         let contradicted = self.contradicted();
-        let (judges, announced, stamps) = (&self.judges, &self.fused.announced, self.slots.stamps());
+        let (judges, announced, slots) = (&self.judges, &self.fused.announced, &self.slots);
         let stamped = |impossible: bool| impossible.then_some(FlagReason::Stamp);
         self.isolation.announce(slot.end(), contradicted, |sensor| {
             let i = usize::from(sensor.instance.saturating_sub(1));
@@ -77,11 +77,11 @@ impl Lanes {
                     let stuck = judges.evidence.is_stuck(i);
                     let reason = if stuck { FlagReason::Stuck } else { FlagReason::Window };
                     let reason = announced[i].then_some(reason);
-                    (judges.evidence.ratio(i), votes[i], reason.or(stamped(stamps.excludes_imu(i, slot.end()))))
+                    (judges.evidence.ratio(i), votes[i], reason.or(stamped(slots.imu_stamps.excludes(i, slot.end()))))
                 }
                 _ => {
                     let reason = judges.heights.is_excluded(i).then_some(FlagReason::Window);
-                    (judges.heights.ratio(i), 0.0, reason.or(stamped(stamps.excludes_height(i, slot.end()))))
+                    (judges.heights.ratio(i), 0.0, reason.or(stamped(slots.height_stamps.excludes(i, slot.end()))))
                 }
             };
             let stuck = reason == Some(FlagReason::Stuck);

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use plumbline_proto::time::FlightTime;
 
 use super::integral::{Integral, Six};
-use super::stamps::Stamps;
+use super::stamps::{Stamps, from_elsewhere};
 use super::{HORIZON_US, LANES, PerLane, SLOT_US};
 use crate::estimate::median;
 use crate::sensor::{GnssSample, MAX_BAROMETERS, MAX_HEIGHTS, MocapPoseSample, SensorFrame};
@@ -64,7 +64,10 @@ impl Open {
 #[derive(Debug, Clone)]
 pub struct Slots {
     integrals: PerLane<Integral>,
-    stamps: Stamps,
+    /// Who tells times that cannot be.
+    pub imu_stamps: Stamps<LANES>,
+    /// And which heights do.
+    pub height_stamps: Stamps<MAX_HEIGHTS>,
     open: [Open; OPEN],
     /// Number of the next to be closed; `None` before the first frame.
     next: Option<u64>,
@@ -75,7 +78,8 @@ impl Slots {
     pub fn new() -> Self {
         Self {
             integrals: std::array::from_fn(|_| Integral::new()),
-            stamps: Stamps::default(),
+            imu_stamps: Stamps::IMUS,
+            height_stamps: Stamps::HEIGHTS,
             open: std::array::from_fn(|_| Open::new(0)),
             next: None,
         }
@@ -84,11 +88,6 @@ impl Slots {
     /// The integrals of the IMUs.
     pub fn integrals(&self) -> &PerLane<Integral> {
         &self.integrals
-    }
-
-    /// Who tells times that cannot be.
-    pub fn stamps(&self) -> &Stamps {
-        &self.stamps
     }
 
     /// The open slot of a sample of `time`: its own, or the oldest where that is closed already.
@@ -107,7 +106,9 @@ impl Slots {
                 .for_each(|number| self.open[(number % OPEN as u64) as usize] = Open::new(number));
         }
         for (i, sample) in frame.imus.iter().enumerate() {
-            let Some(sample) = sample.filter(|sample| self.stamps.imu(i, sample.time, frame.time)) else { continue };
+            let Some(sample) = sample.filter(|sample| self.imu_stamps.admit(i, sample.time, frame.time)) else {
+                continue;
+            };
             if let Some(integral) = self.integrals.get_mut(i) {
                 integral.take(&sample);
             }
@@ -120,7 +121,7 @@ impl Slots {
         }
         for (i, sample) in frame.heights.iter().enumerate() {
             let Some(sample) = sample.filter(|sample| sample.height_m.is_finite()) else { continue };
-            if !self.stamps.height(i, sample.time, frame.time) {
+            if !self.height_stamps.admit(i, sample.time, frame.time) {
                 continue;
             }
             if let Some(place) = self.of(sample.time).and_then(|open| open.slot.heights.get_mut(i)) {
@@ -129,7 +130,7 @@ impl Slots {
         }
         for (i, sample) in frame.barometers.iter().enumerate() {
             let Some(sample) = sample.filter(|sample| sample.pressure_pa.is_finite()) else { continue };
-            if !Stamps::elsewhere(sample.time, frame) {
+            if !from_elsewhere(sample.time, frame.time) {
                 continue;
             }
             if let Some(place) = self.of(sample.time).and_then(|open| open.slot.barometers.get_mut(i)) {
@@ -137,14 +138,14 @@ impl Slots {
             }
         }
         let sound = |sample: &MocapPoseSample| {
-            Stamps::elsewhere(sample.time, frame)
+            from_elsewhere(sample.time, frame.time)
                 && sample.position_enu_m.iter().chain(sample.world_from_body.coords.iter()).all(|x| x.is_finite())
         };
         if let Some((pose, open)) = frame.mocap_pose.filter(sound).and_then(|p| Some((p, self.of(p.time)?))) {
             open.slot.pose = Some(pose);
         }
         let finite = |sample: &GnssSample| {
-            Stamps::elsewhere(sample.time, frame) && sample.position_enu_m.iter().all(|x| x.is_finite())
+            from_elsewhere(sample.time, frame.time) && sample.position_enu_m.iter().all(|x| x.is_finite())
         };
         if let Some((gnss, open)) = frame.gnss.filter(finite).and_then(|g| Some((g, self.of(g.time)?))) {
             open.slot.gnss = Some(gnss);
