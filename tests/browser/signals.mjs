@@ -162,26 +162,27 @@ await step(page, 'gamepad: flies while its button is held, and holds the altitud
   // Where sticks get no answer the release waits for none of them, and what of them arrives after it changes nothing.
   let held;
   const holding = new Promise((resolve) => { held = resolve; });
-  let late = 0;
+  const late = [];
   await page.route('**/vehicles/*/setpoint', async (route) => {
-    late += 1;
+    late.push(route.request());
     await holding;
     // What the page gave up has no answer to wait for.
     await route.continue().catch(() => {});
   });
-  await until('sticks without an answer', async () => late > 0);
+  await until('sticks without an answer', async () => late.length > 0);
   await page.evaluate(() => { globalThis.pad.pressed = false; });
   await until('altitude hold', async () => /altitude hold/i.test(await banner.getByLabel('Mode').textContent()));
   held();
   await until('level, in altitude hold', async () => Math.abs(await roll()) < 2);
   await page.unroute('**/vehicles/*/setpoint');
   assert(/altitude hold/i.test(await banner.getByLabel('Mode').textContent()), 'sticks that came late left the mode');
+  await page.evaluate(() => { globalThis.pad.connected = false; });
+  await until('the card to go', async () => !(await card.count()));
+  await Promise.all(late.map((request) => request.response().catch(() => null)));
+  await page.waitForTimeout(1500);
   // A browser complains of each refusal: of the mode, and of sticks that came late.
   const refusals = errors.splice(0).filter((text) => !/status of 409.*\/(mode|setpoint)$/.test(text));
   assert(!refusals.length, refusals.join('\n'));
-  await page.evaluate(() => { globalThis.pad.connected = false; });
-  await until('the card to go', async () => !(await card.count()));
-  await page.waitForTimeout(1500);
   return { told };
 });
 

@@ -6,6 +6,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::step_response::{StepMeter, StepResponse};
+use plumbline_agent::estimate::fdir::isolation::Device;
 use plumbline_agent::estimate::{Estimate, Residual};
 use plumbline_agent::flight::{Failsafe, Flight};
 use plumbline_agent::types::{Mode, MotorCommand};
@@ -426,22 +427,25 @@ impl Judge {
     }
 
     fn exclusions(&mut self, t: f64, flight: &Flight) {
+        // Each with whether it is excluded, and for how much it counts, where it does.
         let judge = flight.judge();
-        let devices = judge.iter().flat_map(|judge| judge.isolation().devices());
-        for (judge, device) in judge.iter().flat_map(|judge| devices.clone().map(move |device| (judge, device))) {
-            let attacked = self.attacked.iter().any(|(id, onset_s)| *id == device.sensor && t >= *onset_s);
-            if device.present && !attacked {
-                self.quiet.take(t, device.sensor, judge.counts(device.sensor), &mut self.outcome);
-            } else {
-                self.quiet.forget(device.sensor);
-            }
-        }
+        let devices = judge.iter().flat_map(|judge| {
+            let told = |device: &Device| {
+                let counts = device.present.then(|| judge.counts(device.sensor));
+                (device.sensor, device.flagged.is_some(), counts)
+            };
+            judge.isolation().devices().iter().map(told)
+        });
         let weak = flight.rotors().effectiveness().iter().zip(1_u8..);
-        let rotors = weak.map(|(part, instance)| (SensorId::new(SensorKind::Rotor, instance), *part < 1.0));
-        for (sensor, isolated) in devices.map(|device| (device.sensor, device.flagged.is_some())).chain(rotors) {
+        let rotors = weak.map(|(part, instance)| (SensorId::new(SensorKind::Rotor, instance), *part < 1.0, None));
+        for (sensor, isolated, counts) in devices.chain(rotors) {
             let of = self.attacked.iter().find(|(id, _)| *id == sensor).map(|(_, onset_s)| *onset_s);
             // What an attack left behind takes a while to be trusted again.
             let attacked = of.is_some_and(|onset_s| t >= onset_s);
+            match counts.filter(|_| !attacked) {
+                Some(counts) => self.quiet.take(t, sensor, counts, &mut self.outcome),
+                None => self.quiet.forget(sensor),
+            }
             let known = self.excluded.iter().position(|(id, _)| *id == sensor);
             match (isolated, known) {
                 (true, None) => {

@@ -209,12 +209,16 @@ struct Read {
     samples: Samples,
 }
 
+/// Flight time at which a flight begins, s.
+async fn begins_s(id: &str) -> Result<f64, Failure> {
+    Ok(net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await?.start_s)
+}
+
 impl Read {
-    async fn of(id: &str, name: &str) -> Result<Self, Failure> {
-        let known = net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await?;
+    async fn of(id: &str, name: &str, start_s: f64) -> Result<Self, Failure> {
         let asked = String::from(js_sys::encode_uri_component(name));
         let url = format!("/api/v1/flights/{id}/signal?name={asked}&columns={COLUMNS}");
-        Ok(Self { start_s: known.start_s, samples: net::json("GET", &url, None, "").await? })
+        Ok(Self { start_s, samples: net::json("GET", &url, None, "").await? })
     }
 
     /// Becomes this curve.
@@ -237,13 +241,13 @@ async fn whole(id: &str, length_s: f64, told: impl Fn(f64)) -> Result<(Live, u64
         return Ok((load(id, KINDS, "", told).await?, 1));
     }
     let mut flight = load(id, KINDS, &format!("&columns={OVERVIEW_COLUMNS}"), told).await?;
-    let (estimator, mut each) = (flight.in_loop(), 1);
+    let (estimator, start_s, mut each) = (flight.in_loop(), begins_s(id).await?, 1);
     for (curve, name) in [
         (Curve::Altitude(estimator), format!("estimate_{estimator}.position_enu_m.z")),
         (Curve::SetpointAltitude, "control.setpoint.altitude_m".to_owned()),
     ] {
         if flight.curves.get(curve).is_some() {
-            let read = Read::of(id, &name).await?;
+            let read = Read::of(id, &name, start_s).await?;
             each = each.max(read.each());
             read.put(&mut flight.curves, curve);
         }
@@ -310,7 +314,11 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
         leptos::task::spawn_local(async move {
             let mut each = 1;
             for (i, id) in ids.try_get_value().unwrap_or_default().iter().enumerate() {
-                match Read::of(id, &signal.name).await {
+                let read = match begins_s(id).await {
+                    Ok(start_s) => Read::of(id, &signal.name, start_s).await,
+                    Err(failure) => Err(failure),
+                };
+                match read {
                     Ok(read) => {
                         each = each.max(read.each());
                         lives.try_update_value(|lives| {
