@@ -366,7 +366,7 @@ await step(page, 'compare: laid together, their difference, and what was not the
   for (const [seconds, moved] of [['1.5', true], ['0', false]]) {
     await by.fill(seconds);
     await by.press('Tab');
-    await until(`the difference moved by ${seconds} s`, async () => ((await rms()) !== unmoved) === moved);
+    await until(`the difference of ${unmoved} mm moved by ${seconds} s`, async () => ((await rms()) !== unmoved) === moved);
   }
   await page.getByLabel('What is laid on top of each other').selectOption('step');
   await page.getByLabel('Number of the step').fill('2');

@@ -374,11 +374,14 @@ async fn others_read_the_bag() {
         agent.time_us += 100_000;
         agent.say(Kind::Estimate, 1, &v1::Estimate { time_us: agent.time_us, ..Default::default() }).await;
     }
+    say_each(&mut agent).await;
     let last = agent.end("f2", first);
     agent.send([last], false).await;
     ground.wait_json("/api/v1/flights/f2", |f| f["completeness"] == "complete").await;
     let part = ground.get("/api/v1/flights/f2/ros2?from_s=0.15&to_s=0.35").await;
     assert_eq!(crate::common::mcap_counts(&part.body).into_values().sum::<u64>(), 2);
+    let each_kind = folder.path().join("f2.ros2.mcap");
+    std::fs::write(&each_kind, ground.get("/api/v1/flights/f2/ros2").await.body).unwrap();
     ground.stop().await;
     let counts = crate::common::mcap_counts(&answer.body);
     let each = |topic: &str| counts.get(topic).copied().unwrap_or_default();
@@ -400,6 +403,79 @@ async fn others_read_the_bag() {
     let range = found["topics"]["/height_2/sensed"]["range"].as_f64().unwrap();
     assert!((range - 0.81).abs() < 1e-6, "{range}");
     assert_eq!(found["topics"]["/rosout"]["text"], "height 2, \"bias\" of 0.5 m");
+    let found = files::bag_by(&python, &each_kind).unwrap();
+    let near = |topic: &str, expected: &[f64]| {
+        let value = &found["topics"][topic]["value"];
+        let values = value.as_array().cloned().unwrap_or_else(|| vec![value.clone()]);
+        let same = |(v, e): (&serde_json::Value, &f64)| v.as_f64().is_some_and(|v| (v - e).abs() < 1e-6);
+        assert!(values.len() == expected.len() && values.iter().zip(expected).all(same), "{topic}: {found}");
+    };
+    near("/barometer_1/sensed", &[98_100.0]);
+    near("/barometer_1/received", &[98_000.0]);
+    near("/mag_1/sensed", &[-4.3e-5]);
+    near("/gnss_1/sensed", &[47.4, 8.5, 0.64, 0.64, 2.25]);
+    assert!(found["topics"].get("/gnss_1/received").is_none(), "it was withheld: {found}");
+    near("/scan_1", &[0.1, 0.0, 1.2, 0.8]);
+    near("/battery", &[15.1, 0.8]);
+    near("/motors/commanded", &[0.1, 0.2, 0.3, 0.4]);
+    near("/motors/applied", &[0.1, 0.2, 0.3, 0.35]);
+    near("/setpoint", &[0.8, std::f64::consts::FRAC_1_SQRT_2]);
+    assert_eq!(
+        found["topics"]["/tf"]["frames"],
+        serde_json::json!({ "map base_link": 0.75, "base_link scan_1": -0.1 })
+    );
+}
+
+/// One of each kind that a bag has a message for, and that the others did not say.
+async fn say_each(agent: &mut crate::common::Agent) {
+    let time_us = agent.time_us;
+    let up = |z: f64| v1::Vector3 { z, ..Default::default() };
+    let reading = |pressure_pa| v1::BarometerReading { pressure_pa, ..Default::default() };
+    let barometer = v1::BarometerSample {
+        time_us,
+        reception: v1::Reception::Altered as i32,
+        sensed: Some(reading(98_100.0)),
+        received: Some(reading(98_000.0)),
+        ..Default::default()
+    };
+    agent.say(Kind::Barometer, 1, &barometer).await;
+    let sensed = v1::ImuReading { mag_ut: Some(up(-43.0)), ..Default::default() };
+    agent.say(Kind::Imu, 1, &v1::ImuSample { time_us, sensed: Some(sensed), ..Default::default() }).await;
+    let fix = v1::GnssReading {
+        latitude_deg: 47.4,
+        longitude_deg: 8.5,
+        horizontal_sigma_m: 0.8,
+        vertical_sigma_m: 1.5,
+        ..Default::default()
+    };
+    let dropped = v1::Reception::Dropped as i32;
+    let gnss = v1::GnssSample { time_us, reception: dropped, sensed: Some(fix), ..Default::default() };
+    agent.say(Kind::Gnss, 1, &gnss).await;
+    let scan = v1::Scan {
+        time_us,
+        first_angle_rad: -0.1,
+        step_angle_rad: 0.1,
+        range_mm: vec![0, 1200, 800],
+        position_flu_m: Some(up(-0.1)),
+        ..Default::default()
+    };
+    agent.say(Kind::Scan, 1, &scan).await;
+    let flight_id = "f2".to_owned();
+    let status = v1::Status { time_us, battery_v: 15.1, battery_fraction: 0.8, flight_id, ..Default::default() };
+    agent.say(Kind::Status, 0, &status).await;
+    let setpoint =
+        v1::Setpoint { altitude_m: Some(0.8), yaw_rad: Some(std::f64::consts::FRAC_PI_2), ..Default::default() };
+    let control = v1::Control {
+        time_us,
+        motor_command: vec![0.1, 0.2, 0.3, 0.4],
+        motor_applied: vec![0.1, 0.2, 0.3, 0.35],
+        setpoint: Some(setpoint),
+        ..Default::default()
+    };
+    agent.say(Kind::Control, 0, &control).await;
+    let (in_loop, position_enu_m) = (true, Some(up(0.75)));
+    let estimate = v1::Estimate { time_us, in_loop, position_enu_m, ..Default::default() };
+    agent.say(Kind::Estimate, 1, &estimate).await;
 }
 
 fn export(arguments: &[&str]) -> (bool, String) {

@@ -10,7 +10,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use agent::Agent;
+pub use agent::Agent;
 use plumbline_ground::GroundConfig;
 use plumbline_ground::agent_link::LinkEvent;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
