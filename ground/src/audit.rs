@@ -162,11 +162,12 @@ impl Audit {
         }
     }
 
-    /// The last `limit` deeds before the last `offset`, oldest first, of all files of the log. Reads the disk.
+    /// The last `limit` deeds before the last `offset`, oldest first, of those in all files of the log whose line `found` takes.
+    /// Reads the disk.
     ///
     /// # Errors
     /// A file cannot be read; that there is none is no error.
-    pub fn page(&self, offset: usize, limit: usize) -> std::io::Result<Vec<Value>> {
+    pub fn page(&self, offset: usize, limit: usize, found: impl Fn(&str) -> bool) -> std::io::Result<Vec<Value>> {
         let (mut before, mut deeds) = (offset, Vec::new());
         for path in chain::files(&self.folder).iter().rev() {
             if deeds.len() >= limit {
@@ -174,7 +175,9 @@ impl Audit {
             }
             // A line that a crash cut short is no deed.
             backwards(path, |line| {
-                if before > 0 {
+                if !std::str::from_utf8(line).is_ok_and(&found) {
+                    // Not asked for.
+                } else if before > 0 {
                     before -= usize::from(serde_json::from_slice::<IgnoredAny>(line).is_ok());
                 } else if deeds.len() < limit {
                     deeds.extend(serde_json::from_slice::<Value>(line));
@@ -357,10 +360,10 @@ mod tests {
         let audit = Audit::open(folder.path()).unwrap();
         (0..50).for_each(|n| audit.record(deed(n)));
         audit.flush();
-        assert_eq!(audit.page(0, 1000).unwrap().len(), 51);
-        let last = audit.page(0, 2).unwrap();
+        assert_eq!(audit.page(0, 1000, |_| true).unwrap().len(), 51);
+        let last = audit.page(0, 2, |_| true).unwrap();
         assert_eq!((last[0]["unix_us"].as_u64(), last[1]["unix_us"].as_u64()), (Some(48), Some(49)));
-        assert_eq!(audit.page(0, 1000).unwrap()[0]["before"], 1, "what was there stays");
+        assert_eq!(audit.page(0, 1000, |_| true).unwrap()[0]["before"], 1, "what was there stays");
         // A crash cuts a line short; the next start goes on after it.
         drop(audit);
         let mut text = std::fs::read_to_string(&path).unwrap();
@@ -394,7 +397,7 @@ mod tests {
         write("audit.jsonl", last + "{\"unix_us\":9999,\"wh");
         let audit = Audit::open(folder.path()).unwrap();
         let page = |offset, limit| {
-            let deeds = audit.page(offset, limit).unwrap();
+            let deeds = audit.page(offset, limit, |_| true).unwrap();
             deeds.iter().map(|deed| deed["unix_us"].as_u64().unwrap()).collect::<Vec<_>>()
         };
         let all: Vec<u64> = (0..1500).collect();
@@ -409,6 +412,12 @@ mod tests {
             whole.splice(0..0, page(whole.len(), 170));
         }
         assert_eq!(whole, all);
+        // Those that are searched for are passed over and counted alone.
+        let fifth = |line: &str| {
+            line.split(['{', ',']).any(|part| part.starts_with("\"unix_us\":") && part.ends_with(['0', '5']))
+        };
+        let found = audit.page(10, 3, fifth).unwrap();
+        assert_eq!(found.iter().map(|deed| deed["unix_us"].as_u64().unwrap()).collect::<Vec<_>>(), [1435, 1440, 1445]);
     }
 
     #[test]

@@ -1,7 +1,9 @@
-//! `GET /api/v1/audit?offset=N&limit=N`: the last deeds before the last N, oldest first.
+//! `GET /api/v1/audit?offset=N&limit=N&search=WORDS`: the last deeds before the last N, oldest first, of those with every
+//! word.
 
 use axum::Json;
 use axum::extract::State;
+use plumbline_rest::flight::finds;
 use serde_json::{Value, json};
 
 use super::App;
@@ -12,8 +14,8 @@ use super::extract::{Page, Query};
 const PAGE: usize = 200;
 
 pub(crate) async fn show(State(app): State<App>, Query(page): Query<Page>) -> Result<Json<Value>, ApiError> {
-    let (audit, limit) = (app.audit.clone(), page.limit(PAGE)?);
-    let deeds = tokio::task::spawn_blocking(move || audit.page(page.offset, limit)).await;
+    let (audit, limit, found) = (app.audit.clone(), page.limit(PAGE)?, finds(&page.search));
+    let deeds = tokio::task::spawn_blocking(move || audit.page(page.offset, limit, found)).await;
     match deeds {
         Ok(Ok(deeds)) => Ok(Json(json!({ "deeds": deeds }))),
         Ok(Err(error)) => Err(ApiError::Broken(format!("audit log: {error}"))),

@@ -130,8 +130,8 @@ pub(crate) async fn list(
 ) -> Result<Json<rest::Calibrations>, ApiError> {
     let kept = Calibrations::open(&app.config.data_folder);
     let all = aside(move || Ok(kept.list())).await?;
-    let total = all.len() as u64;
-    Ok(Json(rest::Calibrations { calibrations: page.of(all)?.collect(), total }))
+    let (calibrations, total) = page.of(all, |c| format!("{} {} {} {}", c.id, c.kind, c.date, c.input))?;
+    Ok(Json(rest::Calibrations { calibrations, total }))
 }
 
 pub(crate) async fn show(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Calibration>, ApiError> {

@@ -81,9 +81,8 @@ pub(crate) async fn list(
     Query(page): Query<Page>,
 ) -> Result<Json<rest::Experiments>, ApiError> {
     let listed = aside(app, move |app| {
-        let all = Experiment::all(app.experiments.root());
-        let total = all.len() as u64;
-        let experiments = page.of(all)?.map(|experiment| app.experiments.state(&experiment)).collect();
+        let (all, total) = page.of(Experiment::all(app.experiments.root()), |e| format!("{} {}", e.id, e.plan.name))?;
+        let experiments = all.iter().map(|experiment| app.experiments.state(experiment)).collect();
         Ok(rest::Experiments { experiments, total })
     });
     Ok(Json(listed.await?))

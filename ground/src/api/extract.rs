@@ -2,7 +2,7 @@
 
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
-use plumbline_rest::flight::MAX_PAGE;
+use plumbline_rest::flight::{MAX_PAGE, finds};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 
@@ -40,6 +40,9 @@ pub(crate) struct Page {
     #[serde(default)]
     pub(crate) offset: usize,
     limit: Option<usize>,
+    /// Words that must all be found in what is listed.
+    #[serde(default)]
+    pub(crate) search: String,
 }
 
 impl Page {
@@ -48,9 +51,14 @@ impl Page {
         page_limit(self.limit.unwrap_or(standard))
     }
 
-    /// What is on it, of all.
-    pub(crate) fn of<T>(&self, all: Vec<T>) -> Result<impl Iterator<Item = T> + use<T>, ApiError> {
-        Ok(all.into_iter().skip(self.offset).take(self.limit(MAX_PAGE)?))
+    /// What is on it, of all whose text has every word; and how many those are.
+    pub(crate) fn of<T>(&self, mut all: Vec<T>, text: impl Fn(&T) -> String) -> Result<(Vec<T>, u64), ApiError> {
+        if !self.search.trim().is_empty() {
+            let found = finds(&self.search);
+            all.retain(|entry| found(&text(entry)));
+        }
+        let total = all.len() as u64;
+        Ok((all.into_iter().skip(self.offset).take(self.limit(MAX_PAGE)?).collect(), total))
     }
 }
 

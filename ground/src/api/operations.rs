@@ -52,8 +52,9 @@ const LISTING: &[Parameter] = &[
     ("limit", "integer", "Most that are answered: 1 to 1000, 100 where nothing is said."),
 ];
 const OFFSET: Parameter = ("offset", "integer", "So many are passed over.");
+const SEARCH: Parameter = ("search", "string", "Words that must all be found in it.");
 const PAGE: &[Parameter] =
-    &[OFFSET, ("limit", "integer", "Most that are answered: 1 to 1000, 1000 where nothing is said.")];
+    &[SEARCH, OFFSET, ("limit", "integer", "Most that are answered: 1 to 1000, 1000 where nothing is said.")];
 const DOTS: &[Parameter] = &[
     ("from", "integer", "So many are passed over."),
     ("count", "integer", "Most that are answered, 1000 at most."),
@@ -117,6 +118,7 @@ pub(super) const OPERATIONS: &[Operation] = &[
     delete("/api/v1/people/{id}", "Removes an account").empty(204),
     get("/api/v1/audit", "The last deeds, oldest first")
         .query(&[
+            SEARCH,
             ("offset", "integer", "So many of the last are passed over."),
             ("limit", "integer", "Most that are answered: 1 to 1000, 200 where nothing is said."),
         ])

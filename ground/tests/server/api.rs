@@ -156,6 +156,9 @@ async fn a_long_list_comes_in_pages_that_can_be_searched_and_ordered() {
     }
     assert_eq!(deeds("limit=2&offset=1").await, r#"{"name":"n0"} {"name":"n1"}"#);
     assert_eq!(deeds("offset=3").await, "");
+    assert_eq!(deeds("search=Flights/F0+n1").await, r#"{"name":"n1"}"#);
+    assert_eq!(deeds("search=flights/f0&limit=1&offset=2").await, r#"{"name":"n0"}"#);
+    assert_eq!(deeds("search=nobody").await, "");
     ground.stop().await;
 }
 

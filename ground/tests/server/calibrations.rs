@@ -29,6 +29,9 @@ async fn a_table_becomes_a_calibration_that_is_kept() {
     assert!(list["calibrations"][0].get("picture").is_none());
     let page = ground.json("/api/v1/calibrations?offset=1&limit=1").await;
     assert_eq!((&page["total"], &page["calibrations"]), (&json!(2), &json!([list["calibrations"][1]])));
+    let total =
+        async |search: &str| ground.json(&format!("/api/v1/calibrations?search={search}")).await["total"].clone();
+    assert_eq!([total("Bench").await, total("bench+shelf").await], [json!(2), json!(0)]);
     let id = made["id"].as_str().unwrap();
     assert_eq!(ground.json(&format!("/api/v1/calibrations/{id}")).await["covariance"], made["covariance"]);
     assert!(folder.path().join(format!("calibrations/{id}.json")).is_file());

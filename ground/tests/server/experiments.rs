@@ -99,6 +99,8 @@ async fn a_plan_is_sized_flown_read_and_one_of_its_flights_opened() {
     let listed = ground.json("/api/v1/experiments?limit=1").await;
     assert_eq!((&listed["total"], &listed["experiments"][0]["id"]), (&json!(1), &json!(id)));
     assert_eq!(ground.json("/api/v1/experiments?offset=1").await, json!({ "experiments": [], "total": 1 }));
+    assert_eq!(ground.json("/api/v1/experiments?search=nowhere").await, json!({ "experiments": [], "total": 0 }));
+    assert_eq!(ground.json(&format!("/api/v1/experiments?search={id}")).await["total"], 1);
     let against = ground.get(&format!("{at}/against/{id}")).await.text();
     assert!(against.contains("6 of 6 flights of the same condition and seed are the same bit for bit"), "{against}");
     assert_eq!(ground.get(&format!("{at}/against/none")).await.status, 404);

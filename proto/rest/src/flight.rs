@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::command::PlannedAttack;
 use crate::ground::Storage;
-pub use listing::{Column, Listing, MAX_PAGE, PAGE, page};
+pub use listing::{Column, Listing, MAX_PAGE, PAGE, finds, page};
 pub use signal::{Samples, Signal, Signals, Spectrum};
 
 /// What `GET /api/v1/flights/{id}/frames` is asked for by charts of a long flight as a whole; the ground keeps the answer.

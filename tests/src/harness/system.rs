@@ -44,7 +44,7 @@ pub enum Vehicle {
 pub struct Options {
     /// The programs.
     pub binaries: Binaries,
-    /// Folder for recordings, identities and the onboard log.
+    /// Folder for recordings, identities and the onboard log; a `ground.toml` in it is the ground's configuration.
     pub data: PathBuf,
     /// Port of the page; 0 for any free one. The agents' port is free unless this one is given, and then the next.
     pub port: u16,
@@ -143,6 +143,10 @@ impl Ground {
         command.arg("--listen").arg(format!("127.0.0.1:{}", options.port));
         command.arg("--agent-listen").arg(format!("127.0.0.1:{link_port}"));
         command.arg("--data").arg(&data);
+        let config = options.data.join("ground.toml");
+        if config.exists() {
+            command.arg("--config").arg(config);
+        }
         let mut process = Process::start("ground", command, options.echo)?;
         let page = process.wait_for(START, |line| address_after(line, "Plumbline is at http://"))?;
         let link = process.wait_for(START, |line| address_after(line, "agents connect to udp://"))?;

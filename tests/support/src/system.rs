@@ -47,7 +47,13 @@ pub struct Rig {
 impl Rig {
     /// Starts ground and agent; a test whose system does not start fails.
     pub fn start(vehicle: &Vehicle) -> Self {
+        Self::configured(vehicle, "")
+    }
+
+    /// The same, with this configuration of the ground (TOML).
+    pub fn configured(vehicle: &Vehicle, ground: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("ground.toml"), ground).unwrap();
         let system = System::start(&options(folder.path()), vehicle).unwrap_or_else(|error| panic!("{error}"));
         Self { system: Some(system), folder }
     }

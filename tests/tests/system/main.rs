@@ -4,6 +4,7 @@
 //! - [`attack_visible`]: an attack is scheduled, seen and aborted.
 //! - [`record_download`]: a flight is recorded and downloaded.
 //! - [`replay_exact`]: a flight file is flown again.
+//! - [`stations`]: ground control stations of others fly the vehicle.
 //! - [`live_stream`]: what viewers are told.
 //! - [`trust`]: identities are revoked and changed in flight.
 //! - [`bad_start`]: what cannot work says so.
@@ -17,4 +18,5 @@ mod chaos;
 mod live_stream;
 mod record_download;
 mod replay_exact;
+mod stations;
 mod trust;

@@ -101,9 +101,18 @@ impl Column {
     }
 }
 
+/// Whether a text has every word of a search, in any case of its letters.
+pub fn finds(search: &str) -> impl Fn(&str) -> bool + use<> {
+    let words: Vec<String> = search.split_whitespace().map(str::to_lowercase).collect();
+    move |text| {
+        let text = text.to_lowercase();
+        words.iter().all(|word| text.contains(word))
+    }
+}
+
 /// One page of the flights that match, and how many match.
 pub fn page(mut flights: Vec<Flight>, asked: &Listing) -> (Vec<Flight>, u64) {
-    let words: Vec<String> = asked.search.split_whitespace().map(str::to_lowercase).collect();
+    let found = finds(&asked.search);
     let (from, to) = (asked.from_unix_us.unwrap_or(0), asked.to_unix_us.unwrap_or(u64::MAX));
     flights.retain(|f| {
         let begun = f.started_unix_us >= from && (f.started_unix_us < to || asked.to_unix_us.is_none());
@@ -125,8 +134,7 @@ pub fn page(mut flights: Vec<Flight>, asked: &Listing) -> (Vec<Flight>, u64) {
             f.rig,
             f.completeness.name()
         );
-        let text = text.to_lowercase();
-        words.iter().all(|w| text.contains(w))
+        found(&text)
     });
     flights.sort_by(|a, b| {
         let by = match asked.sort {
