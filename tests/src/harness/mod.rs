@@ -13,4 +13,4 @@ pub use binaries::Binaries;
 pub use http::{Api, Reply};
 pub use process::Process;
 pub use radio::{Faults, Radio};
-pub use system::{Agent, Ground, Options as SystemOptions, System, Vehicle, wait_until};
+pub use system::{Agent, Ground, Options as SystemOptions, System, Vehicle, address_after, wait_until};

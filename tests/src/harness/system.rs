@@ -228,7 +228,8 @@ fn agent_toml(id: &str, ground: SocketAddr, identity: &Path, log: &Path) -> Stri
 }
 
 /// The address that follows `lead`.
-fn address_after(line: &str, lead: &str) -> Option<SocketAddr> {
+/// The address that follows `lead` in a line.
+pub fn address_after(line: &str, lead: &str) -> Option<SocketAddr> {
     let rest = line.split(lead).nth(1)?;
     let end = rest.find(|c: char| !(c.is_ascii_hexdigit() || ".:[]".contains(c))).unwrap_or(rest.len());
     rest.get(..end)?.parse().ok()

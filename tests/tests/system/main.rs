@@ -7,6 +7,7 @@
 //! - [`stations`]: ground control stations of others fly the vehicle.
 //! - [`live_stream`]: what viewers are told.
 //! - [`trust`]: identities are revoked and changed in flight.
+//! - [`packages`]: Debian packages, unpacked and started.
 //! - [`bad_start`]: what cannot work says so.
 //! - [`chaos`]: programs are killed.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -16,6 +17,7 @@ mod attack_visible;
 mod bad_start;
 mod chaos;
 mod live_stream;
+mod packages;
 mod record_download;
 mod replay_exact;
 mod stations;
