@@ -150,6 +150,10 @@ pub struct EnvelopeCertificate {
     pub multipliers: Vec<EnvelopeMultiplier>,
     /// The second sum, m: what the multipliers leave to the most that may be added.
     pub added_m: f64,
+    /// c, one number for each value that is added: sensor after sensor as in `attack`, each until `end_s`.
+    pub objective: Vec<f64>,
+    /// u.
+    pub most: Vec<f64>,
 }
 
 /// A detector at one time, and its multiplier.
@@ -168,8 +172,10 @@ pub struct EnvelopeMultiplier {
     pub limit: f64,
     /// λ, m for each of that unit.
     pub multiplier: f64,
-    /// Statistics that it is made of: more than one where a sum of squares was cut there.
+    /// Statistics that it is made of: more than one where it is a cut of a sum of squares.
     pub statistics: usize,
+    /// m.
+    pub row: Vec<f64>,
 }
 
 /// An attack to be prepared, or one to be judged before it flies (`POST /api/v1/envelope/attack`).

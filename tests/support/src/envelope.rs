@@ -339,7 +339,7 @@ impl Bounds {
         let asked = Asked::new(&question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
             let Found { verdict, regime, .. } = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
-            let Verdict::Bounded(bound) = verdict else { return None };
+            let Verdict::Bounded(bound, _) = verdict else { return None };
             let mut worst = vec![bound.attack];
             if regime != Regime::Full {
                 let full = asked.flying.attacked(sensors, Regime::Full).unwrap();

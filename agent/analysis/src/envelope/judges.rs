@@ -4,8 +4,7 @@
 //! - A mean mᵢ of residuals is within L σ of the robust centre c where Σ ψ((mⱼ − mᵢ)/σ + L) ≥ ρ (mᵢ/σ − L), ψ clipped at κ. With
 //!   ψ(x) ≤ x for the healthy and ψ ≤ κ for the attacked, (h + ρ) mᵢ − Σ_healthy m ≤ σ (κ s + (h + ρ) L); likewise for a healthy
 //!   one that is outvoted, the parts exchanged. h healthy, s attacked, ρ = (σ/prior)².
-//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, bounds each eₖ² by L s², and (Σ wₖ eₖ)² by Σ wₖ L s²; the sum itself is cut by the program
-//!   ([`SQUARES`]). So it is with the mean square of the vote.
+//! - Evidence Σ wₖ eₖ² ≤ L s², forgotten as wₖ, and the mean square of the vote are sums of squares ([`SQUARES`]).
 
 use std::collections::VecDeque;
 
@@ -17,8 +16,8 @@ use super::Signal;
 use super::flying::{Attacked, Regime, usual_mps2};
 use super::program::{Memory, Statistic};
 
-/// Names of the detectors that sum squares, of a single one of them.
-pub(super) const EVIDENCE: &str = "IMU evidence, one sample";
+/// Names of the detectors that sum squares.
+pub(super) const EVIDENCE: &str = "IMU evidence";
 const VOTE: &str = "IMU vote, one slot";
 /// Names of the vote over an accelerometer.
 pub(super) const ALONG: (&str, &str) = ("IMU vote", VOTE);
@@ -52,9 +51,6 @@ pub(super) struct Judges {
     offsets: Vec<[Signal; 2]>,
     /// The last residuals of each height, the newest first.
     residuals: Vec<VecDeque<Signal>>,
-    /// Σ wₖ of the evidence.
-    weight: f64,
-    evidence: Vec<Signal>,
     votes: Vec<Voted>,
 }
 
@@ -87,11 +83,6 @@ impl Voted {
     }
 }
 
-/// What is left of evidence after a slot.
-pub(super) fn keep() -> f64 {
-    (-SLOT / of_imus::MEMORY_S).exp()
-}
-
 fn mean(of: impl Iterator<Item = Signal>, count: usize, width: usize) -> Signal {
     of.fold(Signal::zeros(width), |sum, x| sum + x) / count.max(1) as f64
 }
@@ -115,8 +106,6 @@ impl Judges {
             width,
             offsets: rates_hz.iter().map(|_| [zero(), zero()]).collect(),
             residuals: rates_hz.iter().map(|_| VecDeque::from(vec![zero(); longest])).collect(),
-            weight: rates_hz.iter().flatten().sum::<f64>() * SLOT / (1.0 - keep()),
-            evidence: of.imus.iter().map(|_| zero()).collect(),
             votes: of.imus.iter().map(|_| Voted::new(ALONG, usual_mps2(measured_mps2), width)).collect(),
         }
     }
@@ -266,19 +255,10 @@ impl Judges {
                 vote.hear(added, bias, &mut add);
             }
             // Evidence is held against the second-best lane: two healthy ones.
-            if let (true, Some(evidence)) = (self.of_imus >= attacked + 2, self.evidence.get_mut(place)) {
-                *evidence *= keep();
-                let mut sigma_m: f64 = 0.0;
+            if self.of_imus >= attacked + 2 {
                 for (_, sigma, _, differ) in innovations {
                     let Some(innovation) = differ.get(place) else { continue };
-                    *evidence += innovation;
-                    sigma_m = sigma_m.max(*sigma);
-                    let limit = sigma * of_imus::EVIDENCE.sqrt();
-                    add(EVIDENCE, limit, innovation.clone());
-                }
-                if sigma_m > 0.0 {
-                    let limit = sigma_m * (of_imus::EVIDENCE * self.weight).sqrt();
-                    add("IMU evidence", limit, evidence.clone());
+                    add(EVIDENCE, sigma * of_imus::EVIDENCE.sqrt(), innovation.clone());
                 }
             }
         }

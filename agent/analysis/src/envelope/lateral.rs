@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 use std::sync::OnceLock;
 
 use plumbline_core::control::law::Law;
-use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, ROWS, STATES, UNAIDED_SLOTS};
+use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, STATES, UNAIDED_SLOTS};
 use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, Shaken, of_imus, of_rates, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::{hover, ix};
@@ -28,7 +28,7 @@ use plumbline_proto::v1::SensorKind;
 use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
 use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white};
-use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted, keep};
+use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted};
 use super::program::{Memory, Program, Statistic};
 use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
 
@@ -313,7 +313,6 @@ impl Attacked<'_> {
         let of = self.of;
         let judge = |_: &SensorId| Judge {
             votes: [Voted::new(ALONG, of.usual.0, width), Voted::new(TURNING, of.usual.1, width)],
-            evidence: std::array::from_fn(|_| (Signal::zeros(width), 0.0)),
         };
         let mut running = Running {
             of: self,
@@ -366,8 +365,6 @@ impl Model for Attacked<'_> {
 /// What is held against one IMU.
 struct Judge {
     votes: [Voted; 2],
-    /// Σ wₖ eₖ and Σ wₖ of each row.
-    evidence: [(Signal, f64); ROWS],
 }
 
 /// A loop as it runs.
@@ -530,15 +527,8 @@ impl Running<'_> {
             if lateral.aid == Aid::None || lateral.imus < imus.len() + 2 {
                 continue;
             }
-            for ((sum, weight), row) in judge.evidence.iter_mut().zip(rows) {
-                *sum *= keep();
-                *weight *= keep();
-                if age_s.is_some() {
-                    *sum += &row;
-                    *weight += 1.0;
-                    add(EVIDENCE, of_imus::EVIDENCE.sqrt(), row);
-                    add("IMU evidence", (of_imus::EVIDENCE * *weight).sqrt(), sum.clone());
-                }
+            if age_s.is_some() {
+                rows.into_iter().for_each(|row| add(EVIDENCE, of_imus::EVIDENCE.sqrt(), row));
             }
         }
         let share = 1.0 / lateral.imus as f64;

@@ -78,7 +78,7 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
         None => question.attacks.clone(),
         Some("optimal") => {
             let Found { verdict, regime, .. } = verdict(&asked.flying, &set, asked.horizon_s, Deviation::Place)?;
-            let Verdict::Bounded(bound) = verdict else {
+            let Verdict::Bounded(bound, _) = verdict else {
                 return Err(wrong(
                     "sensors",
                     "have no bound, so no largest attack: a covert one goes on for ever".into(),

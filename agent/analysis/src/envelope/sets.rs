@@ -47,16 +47,16 @@ pub(super) fn wrong(name: &str, problem: String) -> EnvelopeError {
 }
 
 /// The bound of a set.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub enum Verdict {
-    /// No silent attack goes further.
-    Bounded(Bound),
+    /// No silent attack goes further; of this program, until the end.
+    Bounded(Bound, Box<Program>),
     /// There is no bound: it can drift silently as fast, m/s.
     Unbounded(f64),
 }
 
 /// What is found of a set.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct Found {
     /// Its bound, or none; the attack lasts for the horizon asked for.
     pub verdict: Verdict,
@@ -84,20 +84,22 @@ pub fn verdict(
     {
         return Ok(Found { verdict: Verdict::Unbounded(drift_mps), regime: Regime::Full, end_s: horizon_s });
     }
-    let (mut found, mut regime, mut end_s) = (program(&full, horizon_s, deviation)?.solve()?, Regime::Full, horizon_s);
+    let mut of = program(&full, horizon_s, deviation)?;
+    let (mut found, mut regime, mut end_s) = (of.solve()?, Regime::Full, horizon_s);
     if 2 * full.heights.len() >= heights && full.heights.len() < heights {
         let outvoted = flying.attacked(sensors, Regime::Outvoted)?;
         // The vehicle is where the healthy height last allowed: it goes furthest at another slot than the last, by up to 5 %.
         for back in 0..flying.schedule()?.len() {
             let until_s = horizon_s - back as f64 * SLOT;
-            let other = program(&outvoted, until_s, deviation)?.solve()?;
+            let shorter = program(&outvoted, until_s, deviation)?;
+            let other = shorter.solve()?;
             if other.upper > found.upper {
                 let attack = lasting(&outvoted, &other.attack, until_s, horizon_s);
-                (found, regime, end_s) = (Bound { attack, ..other }, Regime::Outvoted, until_s);
+                (found, regime, end_s, of) = (Bound { attack, ..other }, Regime::Outvoted, until_s, shorter);
             }
         }
     }
-    Ok(Found { verdict: Verdict::Bounded(found), regime, end_s })
+    Ok(Found { verdict: Verdict::Bounded(found, Box::new(of)), regime, end_s })
 }
 
 /// An attack of `end_s` with nothing added from there until `horizon_s`.
@@ -112,7 +114,7 @@ fn lasting(model: &dyn Model, attack: &Signal, end_s: f64, horizon_s: f64) -> Si
 
 /// How far the median of all heights may be from the mean of the healthy ones, m, while a minority is attacked. Guessed, and proved by
 /// induction over the samples: while no healthy height was further from that mean than the guess, none comes further than what is found,
-/// which is no more than the guess. Without squares, which leaves more to an attacker.
+/// which is no more than the guess.
 fn near_m(of: &Attacked<'_>, horizon_s: f64) -> Result<f64, EnvelopeError> {
     let healthy = of.flying.count(SensorKind::Height) - of.heights.len();
     if of.heights.is_empty() || of.heights.len() >= healthy {
@@ -131,7 +133,9 @@ fn near_m(of: &Attacked<'_>, horizon_s: f64) -> Result<f64, EnvelopeError> {
         let mut found_m: f64 = 0.0;
         for (i, before) in (0..each).flat_map(|i| (0..samples).map(move |before| (i, before))) {
             let found = program(&guessed, horizon_s, Deviation::Apart(i, before))?;
-            found_m = found_m.max(Program { squares: Vec::new(), ..found }.solve()?.upper);
+            // As exactly as it says more than the others before.
+            let bound = found.until(|upper, reached| upper <= found_m || reached > guess_m)?;
+            found_m = found_m.max(bound.upper);
             if found_m > guess_m {
                 break;
             }
@@ -188,8 +192,8 @@ pub fn largest_m(
             return Err(EnvelopeError::GivenUp);
         }
         match verdict(flying, &set, horizon_s, Deviation::Place)?.verdict {
-            Verdict::Bounded(bound) if bound.upper <= NEAR_HOVER_M => largest_m = largest_m.max(bound.upper),
-            Verdict::Bounded(_) | Verdict::Unbounded(_) => return Ok(None),
+            Verdict::Bounded(bound, _) if bound.upper <= NEAR_HOVER_M => largest_m = largest_m.max(bound.upper),
+            Verdict::Bounded(..) | Verdict::Unbounded(_) => return Ok(None),
         }
         known.push(class(&set));
     }
@@ -330,7 +334,7 @@ impl Asked {
         let place = of(Deviation::Place)?;
         let mut found = told(&place.verdict);
         if self.proof
-            && let Verdict::Bounded(bound) = &place.verdict
+            && let Verdict::Bounded(bound, of) = &place.verdict
         {
             let model = self.flying.attacked(set, place.regime)?;
             let sequences = sequences(&model, &bound.attack, self.horizon_s).into_iter();
@@ -340,10 +344,10 @@ impl Asked {
                 values,
             };
             found.attack = sequences.map(named).collect();
-            found.certificate = Some(certificate(bound, place.regime, place.end_s));
+            found.certificate = Some(certificate(bound, of, place.regime, place.end_s));
         }
         if self.climb
-            && let Verdict::Bounded(bound) = of(Deviation::Speed)?.verdict
+            && let Verdict::Bounded(bound, _) = of(Deviation::Speed)?.verdict
         {
             found.climb_mps = Some(bound.upper);
         }
@@ -391,14 +395,15 @@ pub(super) fn sequences(model: &dyn Model, attack: &Signal, horizon_s: f64) -> V
     every.map(one).collect()
 }
 
-fn certificate(bound: &Bound, regime: Regime, end_s: f64) -> EnvelopeCertificate {
-    let told = |of: &Multiplier| EnvelopeMultiplier {
-        detector: of.detector.to_owned(),
-        sensor: of.sensor.map(|sensor| sensor.to_string()),
-        time_s: of.time_s,
-        limit: of.limit,
-        multiplier: of.value,
-        statistics: of.of.len(),
+fn certificate(bound: &Bound, of: &Program, regime: Regime, end_s: f64) -> EnvelopeCertificate {
+    let told = |one: &Multiplier| EnvelopeMultiplier {
+        detector: one.detector.to_owned(),
+        sensor: one.sensor.map(|sensor| sensor.to_string()),
+        time_s: one.time_s,
+        limit: one.limit,
+        multiplier: one.value,
+        statistics: one.of.len(),
+        row: one.row(of).iter().copied().collect(),
     };
     let regime = if regime == Regime::Full { "full" } else { "outvoted" };
     EnvelopeCertificate {
@@ -406,6 +411,8 @@ fn certificate(bound: &Bound, regime: Regime, end_s: f64) -> EnvelopeCertificate
         end_s,
         multipliers: bound.certificate.iter().map(told).collect(),
         added_m: bound.added,
+        objective: of.objective.iter().copied().collect(),
+        most: of.most.clone(),
     }
 }
 
@@ -437,11 +444,11 @@ fn aside(lateral: &Lateral, set: &[SensorId], horizon_s: f64) -> Result<Envelope
 
 fn told(verdict: &Verdict) -> EnvelopeSet {
     match verdict {
-        Verdict::Bounded(bound) if bound.upper > NEAR_HOVER_M => {
+        Verdict::Bounded(bound, _) if bound.upper > NEAR_HOVER_M => {
             let binding = Some(format!("nothing within {NEAR_HOVER_M} m of the hover"));
             EnvelopeSet { binding, ..EnvelopeSet::default() }
         }
-        Verdict::Bounded(bound) => EnvelopeSet {
+        Verdict::Bounded(bound, _) => EnvelopeSet {
             altitude_m: Some(bound.upper),
             reached_m: Some(bound.reached),
             binding: Some(bound.binding.unwrap_or(MOST_ADDED).to_owned()),

@@ -6,7 +6,7 @@ use plumbline_analysis::envelope::prototype::Prototype;
 use plumbline_analysis::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
 use plumbline_proto::ids::SensorId;
-use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet};
+use plumbline_rest::envelope::{EnvelopeMultiplier, EnvelopeQuestion, EnvelopeSet};
 
 fn of(lasers: usize, attacked: usize, imus: usize, gate_only: bool) -> Prototype {
     let (attacked_lasers, attacked_imus) = ((0..attacked).collect(), (0..imus).collect());
@@ -204,9 +204,12 @@ fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none()
 
 #[test]
 fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_what_it_says() {
-    for (names, regime) in
-        [(&["height 2"][..], Regime::Full), (&["imu 1"], Regime::Full), (&["height 1", "height 2"], Regime::Outvoted)]
-    {
+    for (names, regime) in [
+        (&["height 2"][..], Regime::Full),
+        (&["imu 1"], Regime::Full),
+        (&["imu 1", "imu 2"], Regime::Full),
+        (&["height 1", "height 2"], Regime::Outvoted),
+    ] {
         let sensors = Some(names.iter().map(|name| (*name).to_owned()).collect());
         let question = EnvelopeQuestion { sensors, proof: true, horizon_s: Some(5.0), ..EnvelopeQuestion::default() };
         let asked = asked(question).unwrap();
@@ -219,16 +222,22 @@ fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_wh
         let model = asked.flying.attacked(&asked.sets[0], regime).unwrap();
         let program = program(&model, told.end_s, Deviation::Place).unwrap();
         let found = verdict(&asked.flying, &asked.sets[0], 5.0, Deviation::Place).unwrap();
-        let Verdict::Bounded(bound) = found.verdict else { panic!("{names:?} has no bound") };
+        let Verdict::Bounded(bound, _) = found.verdict else { panic!("{names:?} has no bound") };
         let mut left = program.objective.clone();
         for (one, of) in told.multipliers.iter().zip(&bound.certificate) {
             assert_eq!((one.multiplier, one.statistics), (of.value, of.of.len()));
+            let mut row = Signal::zeros(left.len());
             for (place, part) in &of.of {
                 let statistic = &program.statistics[*place];
                 assert_eq!((statistic.detector, statistic.sensor), (of.detector, of.sensor));
-                left.axpy(-one.multiplier * part, &statistic.row, 1.0);
+                row.axpy(*part, &statistic.row, 1.0);
             }
+            assert_eq!(one.row, row.as_slice());
+            left.axpy(-one.multiplier, &row, 1.0);
         }
+        assert_eq!((told.objective.as_slice(), &told.most), (program.objective.as_slice(), &program.most));
+        let cut = |one: &EnvelopeMultiplier| one.statistics > 1;
+        assert_eq!(told.multipliers.iter().any(cut), names.contains(&"imu 1"), "{names:?}");
         let rest: f64 = left.iter().zip(&program.most).map(|(left, most)| left.abs() * most).sum();
         assert!((rest - told.added_m).abs() < 1e-9 * set.altitude_m.unwrap(), "{names:?}: {rest} {}", told.added_m);
         // The sequence is silent, but for the reach, whose limit is proved apart, and goes so far.

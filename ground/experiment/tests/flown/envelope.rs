@@ -35,8 +35,8 @@ fn unseen_attacks_stay_within_their_bounds_and_the_worst_come_near() {
     });
 }
 
-/// GIVEN a position held under motion capture WHEN one IMU wears the worst of x or y, as prepared for a schedule, THEN tilt, velocity and
-/// position come near their bounds, and are within them while nobody sees it.
+/// GIVEN a position held under motion capture WHEN one IMU wears the worst of x or y, as prepared for a schedule, whole or a little less,
+/// THEN tilt, velocity and position come near their bounds, and are within them while nobody sees it.
 #[test]
 fn along_x_and_y_the_worst_come_near_their_bounds_too() {
     let clean = fly_held("ideal", 1, &Worn::default(), 5.0);
@@ -59,13 +59,21 @@ fn along_x_and_y_the_worst_come_near_their_bounds_too() {
                 deviation: Some(deviation.into()),
                 ..AttackQuestion::default()
             };
-            let flight = fly_held("ideal", 1, &Worn::prepared(&prepared(&attack, None).unwrap(), 0.0), 5.0);
-            let part = flight.unseen_aside(&clean, axis, 5.0)[i] / bounds[i];
-            println!("{name}, {deviation}: {part:.3} of {:.5}, excluded {:?}", bounds[i], flight.excluded);
-            (flight.seen, part)
+            let worn = Worn::prepared(&prepared(&attack, None).unwrap(), 0.0);
+            let parts = [1.0, 0.95, 0.9].map(|scaled| {
+                let flight = fly_held("ideal", 1, &worn.clone().scaled(scaled), 5.0);
+                let part = flight.unseen_aside(&clean, axis, 5.0)[i] / bounds[i];
+                println!(
+                    "{name}, {deviation}, times {scaled}: {part:.3} of {:.5}, excluded {:?}",
+                    bounds[i], flight.excluded
+                );
+                assert!(flight.seen.is_none() && part < 1.05, "{name}, {deviation}: {part}");
+                part
+            });
+            parts.into_iter().fold(0.0, f64::max)
         });
         let flown: Vec<_> = flown.collect();
-        assert!(flown.iter().all(|(seen, part)| seen.is_none() && (0.5..1.05).contains(part)), "{name}: {flown:?}");
+        assert!(flown.iter().all(|part| *part > 0.75), "{name}: {flown:?}");
     }
 }
 

@@ -126,6 +126,7 @@ class EnvelopeMultiplier(TypedDict):
     detector: str
     limit: float
     multiplier: float
+    row: list[float]
     sensor: NotRequired[str | None]
     statistics: int
     time_s: float
@@ -769,7 +770,9 @@ class EnvelopeCertificate(TypedDict):
 
     added_m: float
     end_s: float
+    most: list[float]
     multipliers: list[EnvelopeMultiplier]
+    objective: list[float]
     regime: str
 
 
