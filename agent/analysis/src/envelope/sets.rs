@@ -200,12 +200,20 @@ pub fn largest_m(
     Ok(Some(largest_m))
 }
 
-/// Sensors by `names`, each one `of` these.
-fn named(names: &[String], of: &[SensorId]) -> Result<Vec<SensorId>, EnvelopeError> {
+/// Sensors by `names`, each one `of` these, and none twice.
+fn named(field: &str, names: &[String], of: &[SensorId]) -> Result<Vec<SensorId>, EnvelopeError> {
     let known = || of.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
     let unknown = |name: &String| EnvelopeError::UnknownSensor { sensor: name.clone(), known: known() };
     let one = |name: &String| name.parse().ok().filter(|sensor| of.contains(sensor)).ok_or_else(|| unknown(name));
-    names.iter().map(one).collect()
+    let mut found = Vec::with_capacity(names.len());
+    for name in names {
+        let sensor = one(name)?;
+        if found.contains(&sensor) {
+            return Err(wrong(field, format!("names {sensor} twice")));
+        }
+        found.push(sensor);
+    }
+    Ok(found)
 }
 
 /// The sets of `sensors` that are asked for.
@@ -216,7 +224,7 @@ fn sets_of(question: &EnvelopeQuestion, sensors: &[SensorId]) -> Result<Vec<Vec<
         return Err(EnvelopeError::SetTooLarge { size, sensors: sensors.len() });
     }
     if let Some(names) = &question.sensors {
-        return Ok(vec![named(names, sensors)?]);
+        return Ok(vec![named("sensors", names, sensors)?]);
     }
     if !(1..=MOST).contains(&most) {
         return Err(wrong("most", format!("is {most}, it must be 1 to {MOST}")));
@@ -306,7 +314,7 @@ impl Asked {
         };
         let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, shaken, most)?;
         let without = match axis {
-            None => named(&question.without, &flying.sensors)?,
+            None => named("without", &question.without, &flying.sensors)?,
             Some(_) => Vec::new(),
         };
         let mut flying = flying.without(&without)?;
@@ -317,7 +325,7 @@ impl Asked {
             flying = flying.heaving(heave.amplitude_m, heave.period_s)?;
         }
         let lateral = axis.map(|axis| {
-            let without = named(&question.without, &lateral::sensors(&suite))?;
+            let without = named("without", &question.without, &lateral::sensors(&suite))?;
             let most = (bounds.accel_max_mps2, bounds.rate_max_radps);
             Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, shaken.noise_mps2, most, axis)
         });
