@@ -4,6 +4,8 @@ import { armed, assert, complaints, end, holdUntil, launch, listen, liveAfter, m
 
 const vehicle = listen('iris-1');
 const ALTITUDE_HOLD = 3;
+/** A page on a processor four times slower is live within so much, ms. */
+const SLOWED_MS = 2000;
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -35,8 +37,7 @@ await step(page, 'live within a second of navigation, by the age of what is show
   await until('a vehicle', async () => (await age()) < 0.5);
   const ms = [];
   for (let n = 0; n < 5; n += 1) ms.push(await liveAfter(page, vehicle));
-  // The best of them: a machine that tests has other things to do as well.
-  assert(Math.min(...ms) <= bound_ms, `live after ${ms} ms, not within ${bound_ms} ms`);
+  assert(median(ms) <= bound_ms, `live after ${ms} ms, not within ${bound_ms} ms`);
   return { ms, median: median(ms), bound_ms };
 });
 
@@ -108,7 +109,7 @@ const reloads = async (count) => {
 await step(page, 'reloads in flight: live within a second, and the operator stays', async () => {
   const seen = await reloads(3);
   assert(!seen.frozen, "the operator's sign of life was missed");
-  assert(Math.min(...seen.ms) <= bound_ms, `live after ${seen.ms} ms, not within ${bound_ms} ms`);
+  assert(seen.median <= bound_ms, `live after ${seen.ms} ms, not within ${bound_ms} ms`);
   return { ...seen, bound_ms };
 });
 
@@ -116,9 +117,9 @@ await step(page, 'reloads in flight on a processor four times slower: nothing la
   // It stays so slow for what follows.
   slow = await slowed(page);
   const seen = await reloads(5);
-  assert(Math.min(...seen.ms) <= 10_000, `live after ${seen.ms} ms`);
-  // Wanted are 2 s and no freeze; what was reached is told.
-  return { ...seen, wanted_ms: 2000, rate: slow.rate, sum_ms: slow.sum_ms };
+  assert(!seen.frozen, "the operator's sign of life was missed");
+  assert(seen.median <= SLOWED_MS, `live after ${seen.ms} ms, not within ${SLOWED_MS} ms`);
+  return { ...seen, bound_ms: SLOWED_MS, rate: slow.rate, sum_ms: slow.sum_ms };
 });
 
 await step(page, 'three presses are three steps, from the last target and on the grid', async () => {
