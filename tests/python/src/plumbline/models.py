@@ -38,6 +38,18 @@ class AtGround(TypedDict):
     name: str
 
 
+class AttackEffect(TypedDict):
+    """What an attack did."""
+
+    accepted_time_us: int
+    deviation_m: list[float] | None
+    excluded: list[list[int]]
+    id: int
+    isolated_after_s: float | None
+    rejected_after_s: float | None
+    rms_before_m: float | None
+
+
 class CalibratedParameter(TypedDict):
     """One fitted number."""
 
@@ -162,6 +174,15 @@ class Estimator(TypedDict):
     estimator: Literal['ekf_bias', 'complementary', 'ekf_hybrid', 'ukf', 'constant_acceleration', 'vqf', 'secure', 'attitude_ekf', 'lanes']
 
 
+class EstimatorError(TypedDict):
+    """What an estimator was off by, from its first estimate on."""
+
+    altitude_error_mm: Samples
+    altitude_mm: list[float] | None
+    attitude_mrad: list[float] | None
+    estimator: int
+
+
 class Expectation(TypedDict):
     """
     What the model of the lanes expects of an attack on one sensor, by the flights of the condition as planned. Of several sensors it
@@ -188,6 +209,16 @@ class ExperimentFlights(TypedDict):
 
     flights: list[ExperimentFlight]
     total: int
+
+
+class Figures(TypedDict):
+    """`GET /api/v1/flights/{id}/figures`."""
+
+    attacks: list[AttackEffect]
+    autopilot: list[Followed]
+    estimators: list[EstimatorError]
+    start_s: float
+    truth: bool
 
 
 class Fit(TypedDict):
@@ -262,6 +293,13 @@ class FlownByHand(TypedDict):
     reason: str
     unix_us: int
     who: str
+
+
+class Followed(TypedDict):
+    """How an autopilot took over what it was asked for, rad/s or 0..1."""
+
+    asked_rms: float | None
+    off: list[float] | None
 
 
 class Imported(TypedDict):
