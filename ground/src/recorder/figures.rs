@@ -343,7 +343,7 @@ impl Measured {
                     self.follow(time_s, &autopilot);
                 }
             }
-            Kind::Residuals if instance == self.in_loop => {
+            Kind::Residuals => {
                 let residuals = v1::Residuals::decode(payload).unwrap_or_default().residuals;
                 for residual in residuals.iter().filter(|residual| residual.ratio > 1.0) {
                     let sensor = (residual.sensor, residual.instance);
@@ -462,14 +462,14 @@ impl Measured {
     }
 }
 
-/// Passes the messages of these kinds to `each` until `goes_on` is false: kind, instance and flight time, s.
+/// Passes the messages that are wanted, by kind and instance, to `each` until `goes_on` is false; with their flight time, s.
 fn pass(
     reader: &FlightReader,
-    kinds: &[Kind],
+    wanted: impl Fn((Kind, u16)) -> bool,
     goes_on: &impl Fn() -> bool,
     mut each: impl FnMut((Kind, u16), f64, &[u8]),
 ) -> Result<(), RecordingError> {
-    let of = |topic: &String| Some(Kind::from_topic(topic)?).filter(|(kind, _)| kinds.contains(kind));
+    let of = |topic: &String| Kind::from_topic(topic).filter(|of| wanted(*of));
     let known: BTreeMap<String, (Kind, u16)> =
         reader.channels().into_keys().filter_map(|topic| of(&topic).map(|known| (topic, known))).collect();
     let topics: Vec<String> = known.keys().cloned().collect();
@@ -489,9 +489,8 @@ fn pass(
 pub(crate) fn figures(flight: Snapshot, goes_on: impl Fn() -> bool) -> Result<Figures, RecordingError> {
     let reader = open(flight)?;
     let mut told = Told::default();
-    pass(&reader, &[Kind::Event, Kind::Status, Kind::Attacks], &goes_on, |(kind, _), time_s, payload| {
-        told.take(kind, time_s, payload);
-    })?;
+    let tells = |(kind, _)| matches!(kind, Kind::Event | Kind::Status | Kind::Attacks);
+    pass(&reader, tells, &goes_on, |(kind, _), time_s, payload| told.take(kind, time_s, payload))?;
     let topics = || reader.channels().into_keys().filter_map(|topic| Kind::from_topic(&topic));
     let first = topics().filter(|(kind, _)| *kind == Kind::Estimate).map(|(_, number)| number).min();
     let length_s = reader.end_us().saturating_sub(reader.start_us()) as f64 * 1e-6;
@@ -502,8 +501,15 @@ pub(crate) fn figures(flight: Snapshot, goes_on: impl Fn() -> bool) -> Result<Fi
         width_s: (length_s / OVERVIEW_COLUMNS as f64).max(1e-3),
         ..Measured::new(reader.start_us() as f64 * 1e-6, told)
     };
-    let kinds = [Kind::Estimate, Kind::Truth, Kind::Control, Kind::Residuals, Kind::Secure];
-    pass(&reader, &kinds, &goes_on, |of, time_s, payload| measured.take(of, time_s, payload))?;
+    // Residuals are half of all bytes: only those of the estimator in the loop, and only where they tell of an attack.
+    let (in_loop, attacked) = (measured.in_loop, !measured.attacks.is_empty());
+    let measures = |(kind, instance)| match kind {
+        Kind::Estimate | Kind::Truth | Kind::Control => true,
+        Kind::Residuals => attacked && instance == in_loop,
+        Kind::Secure => attacked,
+        _ => false,
+    };
+    pass(&reader, measures, &goes_on, |of, time_s, payload| measured.take(of, time_s, payload))?;
     Ok(measured.told())
 }
 
