@@ -283,6 +283,8 @@ await step(page, 'what is old is grey, and one bar says how old', async () => {
     assert(/stale/.test(await tag.getAttribute('class')), `${name} is not grey`);
   }
   assert(/stale/.test(await on(viewer).region('Readouts').getAttribute('class')), 'the readouts are not grey');
+  await until('the attacks to be grey', async () => (await on(viewer).region('Attacks').locator('.schedule.stale').count()) === 1);
+  assert(/stale/.test(await viewer.getByLabel('Estimator in the loop').getAttribute('class')), 'the estimator is not grey');
   await until('5 s', async () => number(await old.textContent()) >= 5);
   const real = await age(viewer);
   const said = number(await old.textContent());
