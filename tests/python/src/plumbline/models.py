@@ -174,15 +174,6 @@ class Estimator(TypedDict):
     estimator: Literal['ekf_bias', 'complementary', 'ekf_hybrid', 'ukf', 'constant_acceleration', 'vqf', 'secure', 'attitude_ekf', 'lanes']
 
 
-class EstimatorError(TypedDict):
-    """What an estimator was off by, from its first estimate on."""
-
-    altitude_error_mm: Samples
-    altitude_mm: list[float] | None
-    attitude_mrad: list[float] | None
-    estimator: int
-
-
 class Expectation(TypedDict):
     """
     What the model of the lanes expects of an attack on one sensor, by the flights of the condition as planned. Of several sensors it
@@ -209,16 +200,6 @@ class ExperimentFlights(TypedDict):
 
     flights: list[ExperimentFlight]
     total: int
-
-
-class Figures(TypedDict):
-    """`GET /api/v1/flights/{id}/figures`."""
-
-    attacks: list[AttackEffect]
-    autopilot: list[Followed]
-    estimators: list[EstimatorError]
-    start_s: float
-    truth: bool
 
 
 class Fit(TypedDict):
@@ -829,6 +810,15 @@ class EnvelopeSet(TypedDict):
     velocity_mps: NotRequired[float | None]
 
 
+class EstimatorError(TypedDict):
+    """What an estimator was off by, from its first estimate on."""
+
+    altitude_error_mm: Samples
+    altitude_mm: list[float] | None
+    attitude_mrad: list[float] | None
+    estimator: int
+
+
 class Examined(TypedDict):
     """
     Poles and margins of one loop. Continuous poles are those of the design (no lag, no delay); the rest has the motors'
@@ -847,6 +837,16 @@ class Experiments(TypedDict):
 
     experiments: list[State]
     total: int
+
+
+class Figures(TypedDict):
+    """`GET /api/v1/flights/{id}/figures`."""
+
+    attacks: list[AttackEffect]
+    autopilot: list[Followed]
+    estimators: list[EstimatorError]
+    start_s: float
+    truth: bool
 
 
 class Flight(TypedDict):
