@@ -220,7 +220,7 @@ fn kept(name: &str, kind: &str, text: &str, label: &str) -> String {
     let mut data = String::with_capacity(2 * text.len());
     for byte in text.bytes() {
         match byte {
-            b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b' ' | b'.' | b'-' | b'=' | b':' | b'/' | b',' | b'(' | b')' => {
+            b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'.' | b'-' | b'=' | b':' | b'/' | b',' | b'(' | b')' => {
                 data.push(char::from(byte));
             }
             _ => {
