@@ -51,9 +51,9 @@ impl Plotted for v1::Estimate {
     }
 
     fn values(&mut self) -> impl Iterator<Item = &mut f64> {
-        let heights = [&mut self.position_enu_m, &mut self.velocity_enu_mps, &mut self.position_sigma_m].map(z);
-        let angles = xyz(&mut self.roll_pitch_yaw_rad).chain(xyz(&mut self.attitude_sigma_rad));
-        heights.into_iter().flatten().chain(angles)
+        let heights = [&mut self.position_enu_m, &mut self.position_sigma_m].map(z);
+        let vectors = [&mut self.velocity_enu_mps, &mut self.roll_pitch_yaw_rad, &mut self.attitude_sigma_rad].map(xyz);
+        heights.into_iter().flatten().chain(vectors.into_iter().flatten())
     }
 
     fn strip(&mut self) {
@@ -68,12 +68,13 @@ impl Plotted for v1::Truth {
     fn state(&self) -> Self::State {}
 
     fn values(&mut self) -> impl Iterator<Item = &mut f64> {
-        z(&mut self.position_enu_m).into_iter().chain(xyz(&mut self.roll_pitch_yaw_rad))
+        let vectors = [&mut self.velocity_enu_mps, &mut self.roll_pitch_yaw_rad].map(xyz);
+        z(&mut self.position_enu_m).into_iter().chain(vectors.into_iter().flatten())
     }
 
     fn strip(&mut self) {
-        let Self { time_us, position_enu_m, roll_pitch_yaw_rad, .. } = std::mem::take(self);
-        *self = Self { time_us, position_enu_m, roll_pitch_yaw_rad, ..Self::default() };
+        let Self { time_us, position_enu_m, velocity_enu_mps, roll_pitch_yaw_rad, .. } = std::mem::take(self);
+        *self = Self { time_us, position_enu_m, velocity_enu_mps, roll_pitch_yaw_rad, ..Self::default() };
     }
 }
 
@@ -88,11 +89,18 @@ impl Plotted for v1::Control {
         let setpoint = self.setpoint.iter_mut();
         let setpoint =
             setpoint.flat_map(|s| [&mut s.altitude_m, &mut s.roll_rad, &mut s.pitch_rad, &mut s.yaw_rad]).flatten();
-        setpoint.chain(&mut self.motor_applied)
+        let autopilot = self.autopilot.iter_mut().flat_map(|a| {
+            let thrust = a.thrust_asked.iter_mut().chain(&mut a.thrust_target);
+            xyz(&mut a.rates_asked_flu_radps).chain(xyz(&mut a.rates_target_flu_radps)).chain(thrust)
+        });
+        setpoint.chain(&mut self.motor_applied).chain(autopilot)
     }
 
     fn strip(&mut self) {
-        (self.thrust_n, self.torque_flu_nm, self.battery_v, self.autopilot) = (0.0, None, None, None);
+        (self.thrust_n, self.torque_flu_nm, self.battery_v) = (0.0, None, None);
+        if let Some(autopilot) = &mut self.autopilot {
+            autopilot.motor_output.clear();
+        }
         (self.motor_command, self.integrator, self.motor_attacked) = Default::default();
     }
 }

@@ -1,11 +1,7 @@
 // What axe-core finds on every page, light and dark, wide and narrow; and what a small screen keeps within reach.
 
-import { readFileSync } from 'node:fs';
-import { createRequire } from 'node:module';
+import { assert, complaints, end, findings, launch, shot, step, until, url } from './support.mjs';
 
-import { assert, complaints, end, launch, need, shot, step, until, url } from './support.mjs';
-
-const axe = readFileSync(createRequire(`${need('PLUMBLINE_MODULES')}/`).resolve('axe-core/axe.min.js'), 'utf8');
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
 const page = await context.newPage();
@@ -15,20 +11,9 @@ const { flights } = await (await page.request.get(`${url}/api/v1/flights`)).json
 const some = flights.slice(0, 2).map((flight) => flight.id);
 
 const PAGES = {
-  fly: '/', flights: '/flights', experiments: '/experiments', tune: '/tune', calibrate: '/calibrate', setup: '/setup',
+  fly: '/', errors: '/?show=errors&velocity=1', signals: '/?show=signals', space: '/?space=1&wide=1', flights: '/flights', experiments: '/experiments', tune: '/tune', calibrate: '/calibrate', setup: '/setup',
   ...(some[0] && { flight: `/flights/${some[0]}`, report: `/flights/${some[0]}/report` }),
   ...(some[1] && { compare: `/flights/${some.join(',')}` }),
-};
-
-// The numbers of the pitch ladder lie on the canvas, which axe takes for the bare page.
-const findings = async () => {
-  await page.evaluate(axe);
-  const { violations } = await page.evaluate(() => globalThis.axe.run({ exclude: [['.ladder']] }, { resultTypes: ['violations'] }));
-  const grave = violations.filter((found) => ['serious', 'critical'].includes(found.impact));
-  return {
-    grave: grave.flatMap((found) => found.nodes.map((node) => `${found.id} ${node.target.join(' ')}: ${node.html.slice(0, 120)} ${node.any[0]?.message ?? ''}`)),
-    lesser: violations.filter((found) => !grave.includes(found)).map((found) => `${found.id} ×${found.nodes.length}`),
-  };
 };
 
 // Letters smaller than 12 px on the screen; in a drawing as it is scaled.
@@ -59,7 +44,7 @@ for (const [name, path] of Object.entries(PAGES)) {
       const tiny = await small();
       assert(tiny.length === 0, `${size}: ${tiny.length} texts below 12 px\n${tiny.slice(0, 8).join('\n')}`);
       for (const theme of ['light', 'dark']) {
-        const { grave, lesser } = await findings();
+        const { grave, lesser } = await findings(page);
         await shot(page, `axe-${name}-${theme}-${width}x${height}`);
         await page.getByRole('button', { name: 'Dark theme' }).click();
         assert(grave.length === 0, `${size}, ${theme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);

@@ -2,7 +2,7 @@
 
 import { readFileSync } from 'node:fs';
 
-import { assert, complaints, end, launch, number, pilot, shot, slowed, step, until, url } from './support.mjs';
+import { assert, complaints, end, findings, launch, number, pilot, shot, slowed, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await browser.newPage({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -40,6 +40,12 @@ await step(page, 'battery: nearly empty lands by itself, with what is left', asy
   await alarm(/^[\d.]+ V$/).waitFor();
   const cut = await page.getByLabel('Alarms').locator('b').evaluateAll((all) => all.filter((b) => b.scrollWidth > b.clientWidth).map((b) => b.textContent));
   assert(cut.length === 0, `cut: ${cut.join(', ')}`);
+  // A failsafe keeps nobody out, in either theme.
+  for (const theme of ['light', 'dark']) {
+    const { grave } = await findings(page);
+    assert(grave.length === 0, `${theme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);
+    await button('Dark theme').click();
+  }
   await shot(page, 'battery-descends-light-1280x720');
   await until('it to stand, disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 60_000);
   const left = await charge();

@@ -127,7 +127,15 @@ await step(page, 'the exact field: 0.8 m, with its step metrics', async () => {
 });
 
 await step(page, 'a value outside the limits is refused with the value', async () => {
+  // What is no number is refused beside the field, and moves nothing.
+  const card = region('Setpoint');
+  const before = await card.boundingBox();
+  await page.getByLabel('Exact altitude in metres').fill('high');
+  await card.getByRole('button', { name: 'Set', exact: true }).click();
+  await card.getByRole('alert').getByText(/high/).waitFor();
+  assert((await card.boundingBox()).height === before.height && (await page.locator('.notice.error').count()) === 0, 'it is said elsewhere');
   await page.getByLabel('Exact altitude in metres').fill('99');
+  await until('the refusal to go', async () => !(await card.getByRole('alert').isVisible()));
   await region('Setpoint').getByRole('button', { name: 'Set', exact: true }).click();
   await page.getByText(/99/).first().waitFor();
   assert(Math.abs((await setpoint()) - 0.8) < 1e-6, 'the setpoint moved');
@@ -547,6 +555,9 @@ await step(page, 'zoomed into, the time under the pointer has decimals', async (
 const position = async () => Number(await page.getByRole('slider', { name: /Position in the flight/ }).getAttribute('aria-valuenow'));
 
 await step(page, 'scrub with pointer, arrows and Space', async () => {
+  // The altitude lies below the bar: it goes up and comes down again.
+  const levels = [...(await page.locator('.scrub-curve path').getAttribute('d')).matchAll(/[ML]\d+ ([\d.]+)/g)].map(([, level]) => Number(level));
+  assert(levels.length > 200 && Math.min(...levels) < 0.1 && levels[0] > 0.6, `${levels.length} stretches, from ${levels[0]} up to ${Math.min(...levels)}`);
   const bar = page.getByRole('slider', { name: /Position in the flight/ });
   const length = Number(await bar.getAttribute('aria-valuemax'));
   const box = await bar.boundingBox();

@@ -1,6 +1,6 @@
 // Position hold under motion capture: the plane from above, and a position set by a click and by keyboard.
 
-import { assert, complaints, end, launch, number, pilot, shot, step, until, url } from './support.mjs';
+import { assert, complaints, drawn, end, launch, number, pilot, shot, shots, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const page = await (await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' })).newPage();
@@ -52,6 +52,38 @@ await step(page, 'hold: the fields do the same by keyboard', async () => {
   await position.getByRole('textbox', { name: 'north' }).fill('0');
   await page.keyboard.press('Enter');
   await there(-0.6, 0);
+});
+
+await step(page, 'the errors have the velocity below them, and the position from above beside them', async () => {
+  await page.goto(`${url}/?show=errors`);
+  const above = region('Position from above');
+  const own = above.getByRole('img', { name: /From above: vehicle/ });
+  await own.waitFor();
+  await page.getByText('Velocity', { exact: true }).click();
+  const velocity = page.getByRole('img', { name: /^Velocity along one direction/ });
+  for (const way of ['up', 'east', 'north']) {
+    await page.getByLabel('Direction of the velocity').selectOption(way);
+    await drawn(page, velocity, `velocity ${way}`);
+    const legend = page.locator('.velocity').getByRole('listitem');
+    await until('estimate and truth', async () => (await legend.allTextContents()).filter((text) => /\d\.\d\d$/.test(text)).length >= 2);
+  }
+  await until('the attitude to make room', async () => (await region('Attitude chart').count()) === 0);
+  const box = await own.boundingBox();
+  const px = Math.min(box.width, box.height);
+  await own.click({ position: { x: box.width / 2 + px / 8, y: box.height / 2 } });
+  const east = Number((await own.getAttribute('viewBox')).split(' ')[2]) / 8;
+  await there(east, 0);
+  await shots(page, 'errors-velocity');
+  // In a mode without a position to set the same is seen, and a click sets nothing.
+  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: 'Altitude hold' }).click();
+  await until('no setpoint of the position', async () => (await own.getAttribute('class')).includes('settable') === false);
+  const asked = [];
+  page.on('request', (request) => { if (request.url().endsWith('/setpoint')) asked.push(request.postData()); });
+  await own.click();
+  await page.waitForTimeout(500);
+  assert(asked.length === 0, asked.join());
+  await page.getByRole('group', { name: 'Mode' }).getByRole('button', { name: 'Hold', exact: true }).click();
+  await position.waitFor();
 });
 
 await step(page, 'hold: outside of the box nothing is set', async () => {

@@ -2,7 +2,7 @@
 
 import { createHmac } from 'node:crypto';
 
-import { assert, end, launch, shot, step, until, url } from './support.mjs';
+import { accessible, assert, end, launch, shot, step, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 } });
@@ -43,6 +43,7 @@ await step(page, 'the first account is made on the page, and from then on everyb
   await form.getByRole('button', { name: 'Add account' }).click();
   await page.goto(`${url}/setup`);
   await page.getByRole('button', { name: 'Sign in' }).waitFor();
+  await accessible(page);
   await signIn();
   await page.waitForURL(`${url}/`);
   await setup();
@@ -68,6 +69,7 @@ await step(page, 'then a password alone lets nobody in, and a code counts', asyn
   await page.goto(`${url}/login`);
   await signIn();
   await page.getByText('the code of your authenticator is needed').waitFor();
+  await accessible(page);
   await signIn(code(secret));
   await page.waitForURL(`${url}/`);
 });

@@ -435,6 +435,7 @@ await step(page, 'experiments: a plan is written from what the vehicle has, and 
   await shots(page, 'experiments-form');
 });
 
+let reported;
 await step(page, 'experiments: a plan is counted, refused with its line, flown; its dots fill in, and one opens as a flight', async () => {
   await page.goto(`${url}/experiments`);
   await page.getByRole('heading', { name: 'Experiments', level: 1 }).waitFor();
@@ -470,10 +471,41 @@ await step(page, 'experiments: a plan is counted, refused with its line, flown; 
   assert((await measure.inputValue()) === '1', `chosen after ${chosen_at} flights: ${options[1]}, shown: ${await measure.inputValue()}`);
   await until('a dot for each', async () => (await results.getByRole('link', { name: /Open the flight/ }).count()) === 60);
   await shots(page, 'experiments-results');
+  const address = new URL(await results.getByRole('link', { name: 'Report', exact: true }).getAttribute('href'), url).href;
   await results.getByRole('link', { name: /Open the flight/ }).last().click();
   await page.waitForURL(/\/flights\/[^/]+$/, { timeout: 30_000 });
   await drawn(page, region('Altitude chart').getByRole('img').first(), 'the altitude of the flight');
+  reported = address;
   return { refused, first_s, chosen_at, took_s };
+});
+
+await step(page, 'experiments: the report, without its ground, keeps its tables for LaTeX and every figure as a picture of its own', async () => {
+  const html = await (await page.request.get(reported)).text();
+  const alone = await context.newPage();
+  await alone.setContent(html);
+  const kept = async (link) => {
+    const waiting = alone.waitForEvent('download');
+    await link.click();
+    const download = await waiting;
+    return { name: download.suggestedFilename(), text: readFileSync(await download.path(), 'utf8') };
+  };
+  const tables = alone.getByRole('link', { name: 'LaTeX', exact: true });
+  assert((await tables.count()) >= 1, 'no table');
+  const { name, text: latex } = await kept(tables.first());
+  const rows = latex.split('\\midrule')[1].split('\\bottomrule')[0].trim().split('\n');
+  assert(name === 'conditions.tex' && rows.length === 4 && rows.every((row) => row.endsWith('\\\\')) && !/[%_]/.test(latex.split('\n').slice(1).join('').replace(/\\[%_]/g, '')), latex.slice(0, 900));
+  const figures = await alone.getByRole('figure').count();
+  const pictures = [];
+  for (const link of await alone.getByRole('link', { name: 'SVG', exact: true }).all()) {
+    const { name, text } = await kept(link);
+    const wrong = await alone.evaluate((text) => new DOMParser().parseFromString(text, 'image/svg+xml').querySelector('parsererror')?.textContent, text);
+    assert(!wrong && text.includes('<style>') && !/href=|https?:(?!\/\/www\.w3\.org)/.test(text), `${name}: ${wrong ?? text.slice(0, 300)}`);
+    pictures.push(name);
+  }
+  assert(figures >= 2 && pictures.length === figures && new Set(pictures).size === figures, `${figures} figures, ${pictures}`);
+  await shot(alone, 'experiment-report');
+  await alone.close();
+  return { pictures, bytes: html.length };
 });
 
 await step(page, 'experiments: conditions are chosen by their levels and sorted; the address keeps it, and a flight of the list opens', async () => {

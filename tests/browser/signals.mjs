@@ -1,7 +1,7 @@
 // What lies in a recording: small pictures in the list, any signal on a chart of its own, spectra; curves shown alone,
 // tones, and a gamepad.
 
-import { assert, complaints, drawn, end, holdUntil, launch, number, pilot, shot, shots, step, steppedWith, until, url } from './support.mjs';
+import { asks, assert, complaints, drawn, end, holdUntil, launch, number, pilot, shot, shots, step, steppedWith, until, url } from './support.mjs';
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -398,11 +398,62 @@ await step(page, 'a long flight opens thinned; what is looked at comes whole, an
     return number(/(\d+\.\d)$/.exec(text)?.[1]) || false;
   }, 60_000);
   await shots(page, 'flight-long-errors');
+  let read = 0;
+  page.on('response', async (response) => {
+    if (/\/(frames|figures)/.test(response.url())) read += (await response.body().catch(() => '')).length;
+  });
+  const opening = Date.now();
   await page.goto(`${url}/flights/${long}/report`);
+  await page.locator('article.report .lead').waitFor();
+  const report = { ms: Date.now() - opening, bytes: read };
+  assert(read > 1e5 && read < 4e6, `the report reads ${read} B`);
   const row = page.getByRole('row').filter({ hasText: /^\d*Secure \(lanes\)/ }).first();
   const reported = number(await row.getByRole('cell').nth(2).textContent());
   assert(Math.abs(rms - reported) < 0.15, `${rms} mm, and ${reported} mm in the report`);
-  return { opened_ms, bytes, rms, reported };
+  return { opened_ms, bytes, rms, reported, report };
+});
+
+await step(page, 'fly again: under two estimators, as it was then, not attacked and as drafted, laid over the flight', async () => {
+  const { flights: [flown] } = await steppedWith(page, 'again', 30, ['lanes']);
+  await page.goto(`${url}/flights/${flown}`);
+  const card = region('Fly again');
+  const tick = (name) => card.getByRole('checkbox', { name, exact: true });
+  assert((await tick('EKF with biases').isChecked()) && (await tick('Secure (lanes)').isChecked()) && (await tick('as it was then').isChecked()), 'another beginning');
+  await tick('as it was then').uncheck();
+  assert(await card.getByRole('button', { name: /^Fly again/ }).isDisabled(), 'nothing is to be flown');
+  await tick('not at all').check();
+  await card.getByText('Draft an attack').click();
+  const form = card.getByRole('form', { name: 'New attack' });
+  await form.getByLabel(/^magnitude/).fill('99');
+  await form.getByRole('button', { name: 'Add' }).click();
+  await until('the refusal beside the form', async () => /beyond the vehicle's limit/.test(await form.getByRole('alert').textContent()));
+  await form.getByLabel(/^magnitude/).fill('0.5');
+  await form.getByLabel(/^start/).fill('12');
+  await form.getByLabel(/^duration/).fill('6');
+  await form.getByRole('button', { name: 'Add' }).click();
+  await card.getByText('height 2: bias +0.5 m, from 12 s on for 6 s').waitFor();
+  for (let n = 0; n < 2; n += 1) await form.getByRole('button', { name: 'Add' }).click();
+  await card.getByRole('alert').getByText('At most 7 at once').waitFor();
+  for (let n = 0; n < 2; n += 1) await card.getByRole('button', { name: 'Remove from draft' }).first().click();
+  await card.scrollIntoViewIfNeeded();
+  await shots(page, 'fly-again');
+  await card.getByRole('button', { name: 'Fly again, 4 flights' }).click();
+  await page.waitForURL(/\/flights\/[^/]*,/, { timeout: 90_000 });
+  const legend = region('Altitude of each flight').getByRole('listitem');
+  await until('five flights', async () => (await legend.count()) >= 5, 30_000);
+  const names = (await legend.allTextContents()).join(' | ');
+  for (const name of ['EKF with biases, not attacked', 'Secure (lanes), not attacked', 'EKF with biases, height 2: bias +0.5 m', 'Secure (lanes), height 2: bias +0.5 m']) {
+    assert(names.includes(name), `${name} is not among ${names}`);
+  }
+  // What was drafted was done: no sign was drawn.
+  const attacked = new URL(page.url()).pathname.split('/').at(-1).split(',').slice(3);
+  for (const id of attacked) {
+    const { attacks } = await asks(page, 'GET', `flights/${id}`);
+    assert(attacks.length === 1 && attacks[0].magnitude === 0.5 && attacks[0].kind === 'bias' && attacks[0].instance === 2, JSON.stringify(attacks));
+  }
+  await drawn(page, region('Altitude of each flight').getByRole('img').first(), 'five altitudes');
+  await shots(page, 'fly-again-compared');
+  return { names };
 });
 
 await step(page, 'signals: no complaint in the console', async () => {

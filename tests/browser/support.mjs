@@ -1,5 +1,6 @@
 // What the browser scripts share: the browser, numbered steps, and eyes for pixels.
 
+import { readFileSync } from 'node:fs';
 import { createRequire } from 'node:module';
 import { spawnSync } from 'node:child_process';
 import { join } from 'node:path';
@@ -334,6 +335,34 @@ values = [${estimators.map((estimator) => `"${estimator}"`).join(', ')}]
   const flights = [];
   for (const index of estimators.keys()) flights.push((await asks(page, 'POST', `experiments/${experiment}/flights/${index}`)).flight);
   return { experiment, flights };
+}
+
+let axe;
+/**
+ * What axe-core finds on a page as it is: grave findings, and how many lesser ones. A region without a heading of its own is grave here,
+ * which axe does not ask for. The numbers of the pitch ladder lie on the canvas, which axe takes for the bare page.
+ */
+export async function findings(page) {
+  axe ??= readFileSync(createRequire(`${modules}/`).resolve('axe-core/axe.min.js'), 'utf8');
+  await page.evaluate(axe);
+  const { violations } = await page.evaluate(() => globalThis.axe.run({ exclude: [['.ladder']] }, { resultTypes: ['violations'] }));
+  const grave = violations.filter((found) => ['serious', 'critical'].includes(found.impact));
+  const headless = await page.evaluate(() => [...document.querySelectorAll('section[aria-label], section[aria-labelledby], [role=region]')]
+    .filter((region) => region.checkVisibility() && ![...region.querySelectorAll('h1, h2, h3, h4, h5, h6')].some((heading) => heading.textContent.trim()))
+    .map((region) => `no heading in ${region.getAttribute('aria-label')}`));
+  return {
+    grave: grave.flatMap((found) => found.nodes.map((node) => `${found.id} ${node.target.join(' ')}: ${node.html.slice(0, 120)} ${node.any[0]?.message ?? ''}`)).concat(headless),
+    lesser: violations.filter((found) => !grave.includes(found)).map((found) => `${found.id} ×${found.nodes.length}`),
+  };
+}
+
+/** Fails where axe-core finds something grave, in either theme, of a page that goes by the browser's. */
+export async function accessible(page) {
+  for (const colorScheme of ['dark', 'light']) {
+    await page.emulateMedia({ colorScheme });
+    const { grave } = await findings(page);
+    assert(grave.length === 0, `${colorScheme}: ${grave.length} findings\n${grave.slice(0, 12).join('\n')}`);
+  }
 }
 
 /** Counts what the browser complains about. */

@@ -4,6 +4,8 @@ import { armed, assert, complaints, end, holdUntil, launch, listen, liveAfter, m
 
 const vehicle = listen('iris-1');
 const ALTITUDE_HOLD = 3;
+/** A page on a processor four times slower is live within so much, ms. */
+const SLOWED_MS = 2000;
 
 const browser = await launch();
 const context = await browser.newContext({ viewport: { width: 1280, height: 720 }, colorScheme: 'light' });
@@ -116,9 +118,9 @@ await step(page, 'reloads in flight on a processor four times slower: nothing la
   // It stays so slow for what follows.
   slow = await slowed(page);
   const seen = await reloads(5);
-  assert(Math.min(...seen.ms) <= 10_000, `live after ${seen.ms} ms`);
-  // Wanted are 2 s and no freeze; what was reached is told.
-  return { ...seen, wanted_ms: 2000, rate: slow.rate, sum_ms: slow.sum_ms };
+  assert(Math.min(...seen.ms) <= SLOWED_MS, `live after ${seen.ms} ms, not within ${SLOWED_MS} ms`);
+  // Whether a sign of life was missed is told: what else the machine does decides it.
+  return { ...seen, bound_ms: SLOWED_MS, rate: slow.rate, sum_ms: slow.sum_ms };
 });
 
 await step(page, 'three presses are three steps, from the last target and on the grid', async () => {
@@ -282,6 +284,8 @@ await step(page, 'what is old is grey, and one bar says how old', async () => {
     assert(/stale/.test(await tag.getAttribute('class')), `${name} is not grey`);
   }
   assert(/stale/.test(await on(viewer).region('Readouts').getAttribute('class')), 'the readouts are not grey');
+  await until('the attacks to be grey', async () => (await on(viewer).region('Attacks').locator('.schedule.stale').count()) === 1);
+  assert(/stale/.test(await viewer.getByLabel('Estimator in the loop').getAttribute('class')), 'the estimator is not grey');
   await until('5 s', async () => number(await old.textContent()) >= 5);
   const real = await age(viewer);
   const said = number(await old.textContent());

@@ -15,7 +15,7 @@ use crate::{
     model::{
         axis::{Tick, TimeAxis, ValueAxis},
         choice,
-        curves::{Axis, Curve, Group},
+        curves::{Axis, Curve, Group, Way},
         instrument::Instrument,
         layout::{Evidence, Layout},
         live::Live,
@@ -64,6 +64,8 @@ pub enum Picture {
     AltitudeError,
     /// And their attitudes, one axis of it.
     AttitudeError,
+    /// Velocities along one direction of the world.
+    Velocity,
     /// A signal.
     Signal(u8),
     /// Artificial horizon.
@@ -158,6 +160,10 @@ pub struct Deck {
     pub evidence: RwSignal<Evidence>,
     /// Axis whose errors are shown.
     pub error_axis: RwSignal<Axis>,
+    /// Direction whose velocity is shown.
+    pub way: RwSignal<Way>,
+    /// Is the velocity shown below the errors, in the place of the attitude?
+    pub velocity: RwSignal<bool>,
     /// Signals on charts of their own.
     pub signals: RwSignal<Vec<Charted>>,
     /// A stretch of time, s of flight time, whose spectra are kept to lie under those of what is looked at.
@@ -209,6 +215,8 @@ impl Deck {
             residuals_of: RwSignal::new(0),
             evidence: RwSignal::new(Evidence::default()),
             error_axis: RwSignal::new(Axis::Roll),
+            way: RwSignal::new(Way::Up),
+            velocity: RwSignal::new(false),
             signals: RwSignal::new(Vec::new()),
             kept: RwSignal::new(None),
             motors: RwSignal::new(false),
@@ -324,6 +332,7 @@ impl Deck {
             signals: self.signals.with(|all| all.iter().map(|c| (c.name.clone(), c.spectrum)).collect()),
             unfolded: self.unfolded.get(),
             motors: self.motors.get(),
+            velocity: self.velocity.get(),
             space: self.space.get(),
             wide: self.wide.get(),
             window_s: (self.source == Source::Live).then(|| self.window_s.get()).filter(|s| *s != USUAL_WINDOW_S),
@@ -343,6 +352,7 @@ impl Deck {
         self.error_axis.set(layout.axis);
         self.unfolded.set(layout.unfolded);
         self.motors.set(layout.motors);
+        self.velocity.set(layout.velocity);
         self.space.set(layout.space);
         self.wide.set(layout.wide);
         if self.source == Source::Live {

@@ -103,12 +103,13 @@ impl Stroke {
 pub fn stroke(curve: Curve, in_loop: u16) -> Stroke {
     let (ink, dash) = match curve {
         Curve::Altitude(n)
+        | Curve::Velocity(n, _)
         | Curve::AltitudeError(n)
         | Curve::AttitudeError(n, _)
         | Curve::AltitudeSigma(n)
         | Curve::AttitudeSigma(n, _) => return estimator(n, in_loop),
         Curve::Height(instance) => return sensor(instance),
-        Curve::TruthAltitude => (IN_LOOP, Dash::Dashed),
+        Curve::TruthAltitude | Curve::TruthVelocity(_) => (IN_LOOP, Dash::Dashed),
         Curve::Reach(_) => (ATTACK, Dash::None),
         Curve::Attitude(_, axis) | Curve::Asked(Demand::Rate(axis)) => (axis_ink(axis), Dash::None),
         Curve::TruthAttitude(axis) | Curve::AimedAt(Demand::Rate(axis)) => (axis_ink(axis), Dash::Dashed),
@@ -177,7 +178,7 @@ pub fn series(index: usize) -> Stroke {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::model::names;
+    use crate::model::{curves::Way, names};
 
     /// Every one of them.
     const ALL: [Ink; 14] = [
@@ -212,7 +213,9 @@ mod tests {
             let attitude = own.chain(axes(Curve::TruthAttitude)).chain(again);
             let rates =
                 axes(|axis| Curve::Asked(Demand::Rate(axis))).chain(axes(|axis| Curve::AimedAt(Demand::Rate(axis))));
-            let charts: [Vec<Curve>; 8] = [
+            let velocity = with_altitude().map(|n| Curve::Velocity(n, Way::Up));
+            let charts: [Vec<Curve>; 9] = [
+                velocity.chain([Curve::TruthVelocity(Way::Up)]).collect(),
                 altitude.collect(),
                 attitude.collect(),
                 with_altitude().map(Curve::AltitudeError).collect(),

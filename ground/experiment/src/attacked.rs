@@ -62,8 +62,10 @@ pub struct Given {
     pub channel: Channel,
     /// What is done.
     pub kind: Kind,
-    /// As [`Kind`] says; the sign of what is added is drawn unless it is negative.
+    /// As [`Kind`] says; the sign of what is added may be drawn unless it is negative.
     pub magnitude: f64,
+    /// Is it?
+    pub sign_drawn: bool,
     /// Onset, s; otherwise the first of `count` that are drawn.
     pub start_s: Option<f64>,
     /// One; where only the onset counts, as many sensors as are attacked in the flights that are compared with it.
@@ -76,7 +78,8 @@ impl Given {
     /// A bias of this size on one sensor.
     pub fn bias(sensor: SensorKind, channel: Channel, magnitude: f64) -> Self {
         let kind = Kind::Bias;
-        Self { sensor, instance: None, channel, kind, magnitude, start_s: None, count: 1, duration_s: None }
+        let (start_s, duration_s) = (None, None);
+        Self { sensor, instance: None, channel, kind, magnitude, sign_drawn: true, start_s, count: 1, duration_s }
     }
 
     /// Is any sample another one after it?
@@ -176,8 +179,8 @@ impl Attacked {
                 let drawn = any(given.sensor, there);
                 let sensor = given.instance.map_or(drawn, |instance| SensorId::new(given.sensor, instance));
                 let sign = sign(&mut dice);
-                let signed = matches!(given.kind, Kind::Bias | Kind::Ramp) && given.magnitude >= 0.0;
-                let magnitude = if signed { sign * given.magnitude } else { given.magnitude };
+                let added = matches!(given.kind, Kind::Bias | Kind::Ramp) && given.magnitude >= 0.0;
+                let magnitude = if added && given.sign_drawn { sign * given.magnitude } else { given.magnitude };
                 let (start_s, _) = first(seed, given.count.min(there).max(1));
                 let (start_s, duration_s) =
                     (given.start_s.unwrap_or(start_s), given.duration_s.unwrap_or(DURATION_S.1));
@@ -274,6 +277,18 @@ mod tests {
                 assert_eq!(drawn.iter().any(|attack| attack.kind == one), stamped, "{one:?} of {kind:?}");
             }
         }
+    }
+
+    #[test]
+    fn a_sign_that_is_given_is_not_drawn() {
+        let sensors = [SensorId::new(SensorKind::Height, 1)];
+        let signs = |sign_drawn, magnitude| {
+            let given = Given { sign_drawn, ..Given::bias(SensorKind::Height, Channel::All, magnitude) };
+            let of = |seed| Attacked::Given(given).attacks(&sensors, seed)[0].magnitude.signum();
+            (0..40).map(of).sum::<f64>().abs() as u32
+        };
+        assert!(signs(true, 0.5) < 40);
+        assert_eq!((signs(false, 0.5), signs(true, -0.5)), (40, 40));
     }
 
     #[test]

@@ -10,7 +10,8 @@
 //! world = "datasheet"
 //! [agent]                           # as an agent's configuration
 //! estimators = { in_loop = "secure" }
-//! [attack]                          # one sensor; what is left out is drawn from the flight's seed
+//! [attack]                          # one sensor; what is left out is drawn from the flight's seed, and the sign of a bias or ramp
+//!                                   # unless `sign = "given"`
 //! sensor = "height"
 //! kind = "bias"
 //!

@@ -126,23 +126,113 @@ fn label(condition: &Condition) -> String {
     if levels.is_empty() { format!("condition {}", condition.number) } else { levels.join(" · ") }
 }
 
-fn head(out: &mut String, results: &Results, more: &[String]) {
-    out.push_str("<div class=wide><table><thead><tr>");
-    for name in results.factors.iter().chain(more) {
-        let _ = write!(out, "<th>{}</th>", escape(name));
-    }
-    out.push_str("</tr></thead><tbody>\n");
+/// A row of cells for each condition; a cell is text with what stands small beside it, as HTML.
+struct Table {
+    heads: Vec<String>,
+    /// So many columns are text: the levels of factors, and what follows them.
+    texts: usize,
+    rows: Vec<Vec<String>>,
 }
 
-fn levels(out: &mut String, condition: &Condition) {
-    out.push_str("<tr>");
-    for level in &condition.levels {
-        let _ = write!(out, "<td>{}</td>", escape(level));
+impl Table {
+    fn new(results: &Results, more: &[String]) -> Self {
+        let heads = results.factors.iter().chain(more).map(|name| escape(name)).collect();
+        Self { heads, texts: results.factors.len(), rows: Vec::new() }
     }
+
+    fn row(&mut self, condition: &Condition, cells: impl IntoIterator<Item = String>) {
+        self.rows.push(condition.levels.iter().map(|level| escape(level)).chain(cells).collect());
+    }
+
+    /// The table, and as a file of this name for LaTeX.
+    fn put(&self, out: &mut String, name: &str, caption: &str) {
+        let link = kept(&format!("{name}.tex"), "application/x-tex", &self.latex(caption), "LaTeX");
+        let _ = write!(out, "<p>{caption} {link}</p>\n<div class=wide><table><thead><tr>");
+        out.extend(self.heads.iter().map(|head| format!("<th>{head}</th>")));
+        out.push_str("</tr></thead><tbody>\n");
+        for row in &self.rows {
+            let class = |at: usize| if at < self.texts { "" } else { " class=n" };
+            let cells = row.iter().enumerate().map(|(at, cell)| format!("<td{}>{cell}</td>", class(at)));
+            let _ = writeln!(out, "<tr>{}</tr>", cells.collect::<String>());
+        }
+        out.push_str("</tbody></table></div>\n");
+    }
+
+    /// With the rules of booktabs.
+    fn latex(&self, caption: &str) -> String {
+        let line = |cells: &[String]| {
+            format!("    {} \\\\\n", cells.iter().map(|cell| tex(cell)).collect::<Vec<_>>().join(" & "))
+        };
+        let columns: String = (0..self.heads.len()).map(|at| if at < self.texts { 'l' } else { 'r' }).collect();
+        format!(
+            "% \\usepackage{{booktabs}}\n\\begin{{table}}\n  \\centering\n  \\begin{{tabular}}{{{columns}}}\n    \\toprule\n{}    \
+             \\midrule\n{}    \\bottomrule\n  \\end{{tabular}}\n  \\caption{{{}}}\n\\end{{table}}\n",
+            line(&self.heads),
+            self.rows.iter().map(|row| line(row)).collect::<String>(),
+            tex(caption),
+        )
+    }
+}
+
+/// A cell as LaTeX has it.
+fn tex(html: &str) -> String {
+    let (mut out, mut rest) = (String::new(), html);
+    // Longer ones first, where one begins with another.
+    const AS: [(&str, &str); 24] = [
+        ("<small>", "{\\scriptsize "),
+        ("</small>", "}"),
+        ("&lt;", "$<$"),
+        ("&gt;", "$>$"),
+        ("&quot;", "''"),
+        ("&amp;", "\\&"),
+        ("&", "\\&"),
+        ("%", "\\%"),
+        ("$", "\\$"),
+        ("#", "\\#"),
+        ("_", "\\_"),
+        ("{", "\\{"),
+        ("}", "\\}"),
+        ("\\", "\\textbackslash{}"),
+        ("~", "\\textasciitilde{}"),
+        ("^", "\\textasciicircum{}"),
+        ("–", "--"),
+        ("…", "\\dots{}"),
+        ("·", "$\\cdot$"),
+        ("±", "$\\pm$"),
+        ("µ", "$\\mu$"),
+        ("σ", "$\\sigma$"),
+        ("²", "$^2$"),
+        ("°", "$^\\circ$"),
+    ];
+    while let Some(letter) = rest.chars().next() {
+        let (written, len) = match AS.into_iter().find(|(from, _)| rest.starts_with(from)) {
+            Some((from, to)) => (to.to_owned(), from.len()),
+            None => (letter.to_string(), letter.len_utf8()),
+        };
+        out.push_str(&written);
+        rest = rest.get(len..).unwrap_or_default();
+    }
+    out
+}
+
+/// A link that keeps a text as a file, without anything from elsewhere.
+fn kept(name: &str, kind: &str, text: &str, label: &str) -> String {
+    let mut data = String::with_capacity(2 * text.len());
+    for byte in text.bytes() {
+        match byte {
+            b'A'..=b'Z' | b'a'..=b'z' | b'0'..=b'9' | b'.' | b'-' | b'=' | b':' | b'/' | b',' | b'(' | b')' => {
+                data.push(char::from(byte));
+            }
+            _ => {
+                let _ = write!(data, "%{byte:02X}");
+            }
+        }
+    }
+    format!("<a download=\"{}\" href=\"data:{kind};charset=utf-8,{data}\">{label}</a>", escape(name))
 }
 
 fn table(out: &mut String, results: &Results) {
-    out.push_str("<h2>Conditions</h2>\n<p>Median and its 95 % interval, which takes six flights. tick: the agent's, median … 99 of 100, on the machine that flew it.</p>\n");
+    out.push_str("<h2>Conditions</h2>\n");
     let mut columns: Vec<String> = ["flights", "lost", "detected", "expected", "tick, µs"].map(str::to_owned).into();
     let measured: Vec<usize> = (0..MEASURES.len())
         .filter(|at| {
@@ -150,9 +240,8 @@ fn table(out: &mut String, results: &Results) {
         })
         .collect();
     columns.extend(measured.iter().filter_map(|at| MEASURES.get(*at)).map(|measure| measure.name.to_owned()));
-    head(out, results, &columns);
+    let mut table = Table::new(results, &columns);
     for condition in &results.conditions {
-        levels(out, condition);
         let why: Vec<_> = condition.lost.iter().map(|(why, count)| format!("{count} {why}")).collect();
         let detected = condition.detected.map_or("–".into(), |part| {
             let [low, high] = part.interval;
@@ -166,19 +255,19 @@ fn table(out: &mut String, results: &Results) {
         let tick = condition
             .tick_us
             .map_or("–".into(), |[median, of_99]| format!("{median:.0} <small>… {of_99:.0}</small>"));
-        let _ = write!(
-            out,
-            "<td class=n>{}</td><td class=n>{lost}</td><td class=n>{detected}</td><td class=n>{expected}</td><td class=n>{tick}</td>",
-            condition.flights
-        );
-        for at in &measured {
+        let values = measured.iter().map(|at| {
             let spread = condition.measures.get(*at).and_then(Option::as_ref);
-            let cell = spread.map_or("–".into(), |spread| median(spread.median, spread.interval, None));
-            let _ = write!(out, "<td class=n>{cell}</td>");
-        }
-        out.push_str("</tr>\n");
+            spread.map_or("–".into(), |spread| median(spread.median, spread.interval, None))
+        });
+        let told = [condition.flights.to_string(), lost, detected, expected, tick];
+        table.row(condition, told.into_iter().chain(values));
     }
-    out.push_str("</tbody></table></div>\n<dl>");
+    table.put(
+        out,
+        "conditions",
+        "Median and its 95 % interval, which takes six flights. tick: the agent's, median … 99 of 100, on the machine that flew it.",
+    );
+    out.push_str("<dl>");
     for measure in measured.iter().filter_map(|at| MEASURES.get(*at)) {
         let _ = write!(out, "<dt><code>{}</code></dt><dd>{}</dd>", measure.name, escape(measure.about));
     }
@@ -209,27 +298,27 @@ fn differences(out: &mut String, results: &Results) {
     if !results.conditions.iter().any(|condition| compared(&condition)) {
         return;
     }
-    out.push_str(
-        "<h2>Paired differences</h2>\n<p>Each flight less the flight of the same seed in the condition compared with: median, its \
-         95 % interval, which takes six pairs, and the mean by the standard deviation (d).</p>\n",
-    );
+    out.push_str("<h2>Paired differences</h2>\n");
     let mut columns: Vec<String> = ["against", "pairs"].map(str::to_owned).into();
     columns.extend(SHOWN.map(str::to_owned));
-    head(out, results, &columns);
+    let mut table = Table::new(results, &columns);
+    table.texts += 1;
     for condition in results.conditions.iter().filter(compared) {
-        levels(out, condition);
         let any = condition.differences.iter().flatten().next();
         let baseline = any.and_then(|any| results.conditions.iter().find(|other| other.number == any.baseline));
         let against = baseline.map(label).unwrap_or_default();
-        let _ = write!(out, "<td>{}</td><td class=n>{}</td>", escape(&against), any.map_or(0, |any| any.pairs));
-        for name in SHOWN {
+        let values = SHOWN.map(|name| {
             let difference = condition.differences.get(place(name)).and_then(Option::as_ref);
-            let cell = difference.map_or("–".into(), |d| median(d.median, d.interval, d.effect));
-            let _ = write!(out, "<td class=n>{cell}</td>");
-        }
-        out.push_str("</tr>\n");
+            difference.map_or("–".into(), |d| median(d.median, d.interval, d.effect))
+        });
+        table.row(condition, [escape(&against), any.map_or(0, |any| any.pairs).to_string()].into_iter().chain(values));
     }
-    out.push_str("</tbody></table></div>\n");
+    table.put(
+        out,
+        "differences",
+        "Each flight less the flight of the same seed in the condition compared with: median, its 95 % interval, which takes six pairs, \
+         and the mean by the standard deviation (d).",
+    );
 }
 
 fn boxes(out: &mut String, results: &Results, rows: &[Row], name: &str, links: &Links<'_>) {
@@ -268,10 +357,16 @@ fn boxes(out: &mut String, results: &Results, rows: &[Row], name: &str, links: &
     let about = MEASURES.get(at).map_or("", |measure| measure.about);
     let _ = write!(
         out,
-        "<h2>{name}</h2>\n<figure>{}<figcaption>{}: quartiles and median, whiskers to the least and the most of flights not lost, \
-         their density behind; each dot is a flight and opens it.</figcaption></figure>\n",
-        svg::boxes(name, &columns),
-        escape(about),
+        "<h2>{name}</h2>\n{}",
+        svg::figure(
+            name,
+            &svg::boxes(name, &columns),
+            &format!(
+                "{}: quartiles and median, whiskers to the least and the most of flights not lost, their density behind; each dot is a \
+                 flight and opens it.",
+                escape(about)
+            )
+        ),
     );
 }
 
@@ -304,4 +399,38 @@ fn worst(out: &mut String, results: &Results, experiment: &Experiment, links: &L
     }
     out.push_str("</tbody></table></div>\n");
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_is_kept_for_latex_as_it_is_shown() {
+        let results = Results { factors: vec!["attack.magnitude_m".into()], ..Results::default() };
+        let mut table = Table::new(&results, &["altitude_m".into()]);
+        let condition = Condition { levels: vec!["a & b < 0.5".into()], ..Condition::default() };
+        table.row(&condition, ["0.2 <small>0.1 … 0.3</small>".to_owned()]);
+        let text = table.latex("95 % interval");
+        assert!(
+            text.contains("\\begin{tabular}{lr}\n    \\toprule\n    attack.magnitude\\_m & altitude\\_m \\\\\n"),
+            "{text}"
+        );
+        assert!(
+            text.contains("    a \\& b $<$ 0.5 & 0.2 {\\scriptsize 0.1 \\dots{} 0.3} \\\\\n    \\bottomrule"),
+            "{text}"
+        );
+        assert!(text.contains("\\caption{95 \\% interval}"), "{text}");
+        let mut out = String::new();
+        table.put(&mut out, "conditions", "95 % interval");
+        assert!(out.contains("<td>a &amp; b &lt; 0.5</td><td class=n>0.2 <small>"), "{out}");
+        let kept = out.split_once("href=\"data:application/x-tex;charset=utf-8,").unwrap().1.split_once('"').unwrap().0;
+        let read = kept.split('%').enumerate().fold(Vec::new(), |mut read, (n, part)| {
+            let (code, rest) = if n == 0 { ("", part) } else { part.split_at(2) };
+            read.extend(u8::from_str_radix(code, 16));
+            read.extend(rest.bytes());
+            read
+        });
+        assert_eq!(String::from_utf8(read).unwrap(), text);
+    }
 }

@@ -309,6 +309,7 @@ fn routes() -> Vec<Route> {
         get    "/api/v1/flights/{id}/signals"           View    signals::list;
         get    "/api/v1/flights/{id}/signal"            View    signals::samples;
         get    "/api/v1/flights/{id}/spectrum"          View    signals::spectrum;
+        get    "/api/v1/flights/{id}/figures"           View    signals::figures;
     }
 }
 

@@ -7,7 +7,7 @@ use plumbline_rest::command::{
 use plumbline_rest::design::{Controllers, Design, Gains, Preview, Question};
 use plumbline_rest::envelope::{AttackQuestion, Envelope, EnvelopeQuestion, PreparedAttack};
 use plumbline_rest::experiment::{self, Asked, Opened, Results, Size};
-use plumbline_rest::flight::{Due, Flight, Flights, Imported, Labels, Samples, Signals, Spectrum};
+use plumbline_rest::flight::{Due, Figures, Flight, Flights, Imported, Labels, Samples, Signals, Spectrum};
 use plumbline_rest::ground::{Ground, Lease, Vehicle};
 use plumbline_rest::people::{
     AccountChange, Code, Confirmation, Credentials, LiveAddress, NewAccount, NewAuthenticator, People, Session,
@@ -316,4 +316,6 @@ pub(super) const OPERATIONS: &[Operation] = &[
     get("/api/v1/flights/{id}/spectrum", "Its power over frequency, by Welch's method")
         .query(&[SIGNAL, FROM, TO])
         .json(of::<Spectrum>),
+    get("/api/v1/flights/{id}/figures", "Errors of its estimators, effects of its attacks, from every message")
+        .json(of::<Figures>),
 ];

@@ -1,4 +1,4 @@
-//! Signals of a recorded flight: what there is, one of them over time, its spectrum. Read in turn with everything that
+//! Signals of a recorded flight: what there is, one of them over time, its spectrum, and what a report says of all. Read in turn with everything that
 //! computes; given up when nobody waits for it any more. The same of a vehicle that flies, from what the hub keeps of the last
 //! two minutes; times are flight times there.
 
@@ -8,7 +8,7 @@ use axum::Json;
 use axum::extract::State;
 use plumbline_analysis::offline::spectrum::{folded_hz, welch};
 use plumbline_proto::codec::{self, Frame};
-use plumbline_rest::flight::{Samples, Signals, Spectrum};
+use plumbline_rest::flight::{Figures, Samples, Signals, Spectrum};
 use serde::Deserialize;
 
 use super::App;
@@ -16,7 +16,7 @@ use super::compute::Waited;
 use super::error::ApiError;
 use super::extract::{Path, Query};
 use crate::hub::{MAX_HISTORY_SECONDS, Shared};
-use crate::recorder::{SignalReader, live_signal, thinned};
+use crate::recorder::{self, SignalReader, live_signal, thinned};
 
 /// Stretches of time, where nothing is said, and at most.
 const COLUMNS: usize = 1000;
@@ -105,6 +105,16 @@ pub(crate) async fn spectrum(
         let flight = SignalReader::open(recorder.open(&id)?)?;
         let samples = asked.read(&flight, waited)?;
         spectrum_of(&samples, flight.rotor_hz(asked.range_s())?)
+    };
+    Ok(Json(app.computing.run(work).await?))
+}
+
+pub(crate) async fn figures(State(app): State<App>, Path(id): Path<String>) -> Result<Json<Figures>, ApiError> {
+    let recorder = app.recorder.clone();
+    let work = move |waited: &Waited| {
+        let found = recorder::figures(recorder.open(&id)?, || waited.check().is_ok())?;
+        waited.check()?;
+        Ok(found)
     };
     Ok(Json(app.computing.run(work).await?))
 }

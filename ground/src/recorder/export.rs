@@ -22,7 +22,7 @@ pub type Sink<'a> = dyn FnMut(Vec<u8>) -> bool + 'a;
 
 /// What writes exports: their ETags hold for this program, and for this number of what it writes, to be raised with every
 /// change of it.
-pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 3");
+pub const WRITTEN: &str = concat!(env!("CARGO_PKG_VERSION"), " 4");
 
 /// Size of one piece of output, bytes, about.
 const PIECE: usize = 64 << 10;

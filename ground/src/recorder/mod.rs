@@ -9,6 +9,7 @@
 pub mod archive;
 mod asking;
 mod export;
+mod figures;
 mod flatten;
 mod flight;
 mod folder;
@@ -53,6 +54,7 @@ use crate::config::GroundConfig;
 use crate::error::GroundError;
 use crate::sync::lock;
 pub use export::{Export, Sink, WRITTEN};
+pub(crate) use figures::figures;
 pub use flight::{Completeness, Flight, FlownAttack, Step};
 use folder::free_bytes;
 use index::FlightIndex;

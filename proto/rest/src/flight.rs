@@ -1,5 +1,6 @@
 //! Recorded flights: `GET /api/v1/flights`, `GET` and `PATCH /api/v1/flights/{id}`.
 
+mod figures;
 mod listing;
 mod signal;
 
@@ -9,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::command::PlannedAttack;
 use crate::ground::Storage;
+pub use figures::{AttackEffect, EstimatorError, Figures, Followed};
 pub use listing::{Column, Listing, MAX_PAGE, PAGE, finds, page};
 pub use signal::{Samples, Signal, Signals, Spectrum};
 

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use plumbline_proto::v1;
 
-use plumbline_rest::flight::Curves as Recomputed;
+use plumbline_rest::flight::{Curves as Recomputed, Figures, OVERVIEW_COLUMNS, Samples};
 
 use super::series::Series;
 
@@ -56,6 +56,39 @@ impl Axis {
     }
 }
 
+/// A direction of the world that a velocity is shown along.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Way {
+    /// z of the world.
+    Up,
+    /// x.
+    East,
+    /// y.
+    North,
+}
+
+impl Way {
+    /// All three.
+    pub const ALL: [Self; 3] = [Self::Up, Self::East, Self::North];
+
+    /// "up"
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Up => "up",
+            Self::East => "east",
+            Self::North => "north",
+        }
+    }
+
+    fn of(self, vector: &v1::Vector3) -> f64 {
+        match self {
+            Self::Up => vector.z,
+            Self::East => vector.x,
+            Self::North => vector.y,
+        }
+    }
+}
+
 /// An axis of the plane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Horizontal {
@@ -89,8 +122,10 @@ pub enum Curve {
     SetpointAltitude,
     /// Altitude of an estimator, m.
     Altitude(u16),
-    /// Vertical speed of an estimator, m/s.
-    Climb(u16),
+    /// Velocity of an estimator, m/s; along the ground where it observes it.
+    Velocity(u16, Way),
+    /// True velocity, m/s.
+    TruthVelocity(Way),
     /// A laser height as the estimators received it, m.
     Height(u16),
     /// True altitude, m.
@@ -181,7 +216,9 @@ impl Curve {
     /// The group it is folded into; `None` for what is always worth a line.
     pub fn group(self, in_loop: u16) -> Option<Group> {
         match self {
-            Self::Altitude(n) | Self::AltitudeError(n) | Self::AttitudeError(n, _) if n != in_loop => {
+            Self::Altitude(n) | Self::Velocity(n, _) | Self::AltitudeError(n) | Self::AttitudeError(n, _)
+                if n != in_loop =>
+            {
                 Some(Group::Estimators)
             }
             Self::Height(_) => Some(Group::Heights),
@@ -469,7 +506,9 @@ impl Curves {
             self.push(Curve::Altitude(number), time, position.z * known);
         }
         if let Some(velocity) = &estimate.velocity_enu_mps {
-            self.push(Curve::Climb(number), time, velocity.z * known);
+            for way in Way::ALL.into_iter().filter(|way| *way == Way::Up || estimate.horizontal_known) {
+                self.push(Curve::Velocity(number, way), time, way.of(velocity) * known);
+            }
         }
         if let Some(angles) = &estimate.roll_pitch_yaw_rad {
             for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
@@ -508,11 +547,23 @@ impl Curves {
             self.push(Curve::TruthPlane(Horizontal::East), truth.time_us, position.x);
             self.push(Curve::TruthPlane(Horizontal::North), truth.time_us, position.y);
         }
+        if let Some(velocity) = &truth.velocity_enu_mps {
+            Way::ALL.into_iter().for_each(|way| self.push(Curve::TruthVelocity(way), truth.time_us, way.of(velocity)));
+        }
         if let Some(angles) = &truth.roll_pitch_yaw_rad {
             for (axis, value) in Axis::ALL.into_iter().zip([angles.x, angles.y, angles.z]) {
                 self.push(Curve::TruthAttitude(axis), truth.time_us, value * DEGREES);
             }
         }
+    }
+
+    /// The velocities along one direction, with the number of each estimator.
+    pub fn velocities(&self, along: Way) -> impl Iterator<Item = (Curve, u16)> + '_ {
+        let all = self.names_between(Curve::Velocity(0, Way::Up), Curve::Velocity(u16::MAX, Way::North));
+        all.filter_map(move |curve| match curve {
+            Curve::Velocity(n, way) if way == along => Some((curve, n)),
+            _ => None,
+        })
     }
 
     /// The recording estimated again by estimator `number`, instead of what it said before.
@@ -526,6 +577,16 @@ impl Curves {
             for (axis, column) in Axis::ALL.into_iter().zip(angles) {
                 self.push(Curve::AgainAttitude(number, axis), time_us, at(column) * DEGREES);
             }
+        }
+    }
+
+    /// The errors of altitude that the ground found.
+    pub fn set_errors(&mut self, found: &Figures) {
+        for of in &found.estimators {
+            let Samples { time_s, value, .. } = &of.altitude_error_mm;
+            let step_s = time_s.last().map_or(0.0, |last_s| last_s / OVERVIEW_COLUMNS as f64);
+            let times = time_s.iter().map(|time_s| found.start_s + time_s);
+            self.set(Curve::AltitudeError(of.estimator), times.zip(value.iter().copied()), 2.5 * step_s);
         }
     }
 

@@ -2,9 +2,11 @@
 
 pub mod selection;
 
+use plumbline_proto::v1::Description;
+use plumbline_rest::command::PlannedAttack;
 use plumbline_rest::experiment::{Condition, Flight};
 
-use super::axis::ValueAxis;
+use super::{axis::ValueAxis, draft::Draft};
 use selection::value;
 
 /// Room of a row of dots for them, px.
@@ -132,38 +134,44 @@ pub fn templates(flights: &[String], vehicle: &str) -> [(&'static str, String); 
 }
 
 /// What is done to the sensors of a recording that is flown again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Again {
     /// As received then, attacks of then included.
     Received,
     /// As sensed, without any attack.
     Sensed,
-    /// As sensed, and one height is off from the middle on.
-    Attacked,
+    /// As sensed, and attacked in this way; it begins so long after the recording.
+    Attacked(Draft),
 }
 
 impl Again {
-    /// Each, in words.
-    pub const ALL: [(Self, &'static str); 3] = [
-        (Self::Received, "what was received then, attacks included"),
-        (Self::Sensed, "what was sensed, without attacks"),
-        (Self::Attacked, "what was sensed, height 1 off by 0.5 m from the middle on"),
-    ];
-
-    /// A plan that flies recording `id`, which lasts so long, once under each of these estimators.
-    pub fn plan(self, id: &str, estimators: &[String], duration_s: f64) -> String {
+    /// A plan that flies recording `id` once under each of these estimators.
+    pub fn plan(&self, id: &str, estimators: &[String]) -> String {
         let attack = match self {
             Self::Received => String::new(),
             Self::Sensed => "[attack]\nsensor = \"none\"\n".to_owned(),
-            Self::Attacked => format!(
-                "[attack]\nsensor = \"height\"\ninstance = 1\nkind = \"bias\"\nmagnitude = 0.5\nstart_s = {:.1}\n",
-                0.5 * duration_s
-            ),
+            Self::Attacked(draft) => {
+                let PlannedAttack { sensor, instance, channel, kind, magnitude, start_s, duration_s, .. } =
+                    draft.body(1);
+                format!(
+                    "[attack]\nsensor = {sensor:?}\ninstance = {instance}\nchannel = {channel:?}\nkind = {kind:?}\nmagnitude = \
+                     {magnitude:?}\nsign = \"given\"\nstart_s = {start_s:?}\nduration_s = {duration_s:?}\n"
+                )
+            }
         };
         format!(
             "name = \"again\"\n{attack}[[factor]]\nkey = \"recording\"\nvalues = [{id:?}]\n[[factor]]\nkey = \"agent.estimators.in_loop\"\n\
              values = {estimators:?}\n"
         )
+    }
+
+    /// Of the flight that comes of it, which its `vehicle` describes.
+    pub fn name(&self, vehicle: Option<&Description>) -> String {
+        match self {
+            Self::Received => "as received".into(),
+            Self::Sensed => "not attacked".into(),
+            Self::Attacked(draft) => draft.subject(vehicle),
+        }
     }
 }
 
@@ -207,6 +215,7 @@ pub fn dots(flights: &[Flight], condition: &Condition, measure: usize, axis: &Va
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::model::draft::Form;
 
     fn flight(index: u64, condition: u64, value: Option<f64>, lost: &str) -> Flight {
         Flight { index, condition, seed: 1000 + index, lost: lost.into(), values: vec![value] }
@@ -230,13 +239,22 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_is_flown_again_under_each_estimator() {
-        let plan = |again: Again| again.plan("f1", &["ukf".into(), "lanes".into()], 41.26);
-        assert!(plan(Again::Received).ends_with(
+    fn a_recording_is_flown_again_under_each_estimator_and_attacked_as_drafted() {
+        let plan = |again: &Again| again.plan("f1", &["ukf".into(), "lanes".into()]);
+        assert!(plan(&Again::Received).ends_with(
             "values = [\"f1\"]\n[[factor]]\nkey = \"agent.estimators.in_loop\"\nvalues = [\"ukf\", \"lanes\"]\n"
         ));
-        assert!(!plan(Again::Received).contains("[attack]") && plan(Again::Sensed).contains("sensor = \"none\""));
-        assert!(plan(Again::Attacked).contains("start_s = 20.6\n"), "{}", plan(Again::Attacked));
+        assert!(!plan(&Again::Received).contains("[attack]") && plan(&Again::Sensed).contains("sensor = \"none\""));
+        let again = Again::Attacked(Form::default().check(None).unwrap());
+        assert!(
+            plan(&again).contains(
+                "[attack]\nsensor = \"height\"\ninstance = 2\nchannel = \"all\"\nkind = \"bias\"\nmagnitude = 0.5\nsign = \
+                 \"given\"\nstart_s = 5.0\nduration_s = 10.0\n[[factor]]"
+            ),
+            "{}",
+            plan(&again)
+        );
+        assert_eq!(again.name(None), "height 2: bias +0.5");
     }
 
     #[test]

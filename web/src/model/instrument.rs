@@ -3,7 +3,7 @@
 use plumbline_proto::v1;
 
 use super::{
-    curves::{Axis, Curve, DEGREES, Horizontal},
+    curves::{Axis, Curve, DEGREES, Horizontal, Way},
     live::Live,
 };
 
@@ -77,7 +77,7 @@ impl Instrument {
             world_from_body: angles.map(|[r, p, y]| quaternion(r / DEGREES, p / DEGREES, y / DEGREES)),
             roll_pitch_yaw_deg: angles,
             altitude_m: read(Curve::Altitude(estimator)),
-            climb_mps: read(Curve::Climb(estimator)),
+            climb_mps: read(Curve::Velocity(estimator, Way::Up)),
             setpoint_m: read(Curve::SetpointAltitude),
             east_north_m: read(Curve::Plane(Horizontal::East))
                 .zip(read(Curve::Plane(Horizontal::North)))

@@ -47,6 +47,8 @@ pub struct Layout {
     pub signals: Vec<(String, bool)>,
     /// Groups of curves that legends unfold; none at first, so that a chart begins with four curves at most.
     pub unfolded: Vec<Group>,
+    /// Is the velocity shown below the errors, in the place of the attitude?
+    pub velocity: bool,
     /// Are the motors and the time of a tick charted?
     pub motors: bool,
     /// The vehicle in space instead of the horizon?
@@ -62,11 +64,12 @@ const EVIDENCE: &str = "show";
 const AXIS: &str = "axis";
 const SIGNALS: &str = "signals";
 const GROUPS: &str = "groups";
+const VELOCITY: &str = "velocity";
 const MOTORS: &str = "motors";
 const SPACE: &str = "space";
 const WIDE: &str = "wide";
 const WINDOW: &str = "window";
-const ALL: [&str; 8] = [EVIDENCE, AXIS, SIGNALS, GROUPS, MOTORS, SPACE, WIDE, WINDOW];
+const ALL: [&str; 9] = [EVIDENCE, AXIS, SIGNALS, GROUPS, VELOCITY, MOTORS, SPACE, WIDE, WINDOW];
 
 impl Default for Layout {
     fn default() -> Self {
@@ -75,6 +78,7 @@ impl Default for Layout {
             axis: Axis::Roll,
             signals: Vec::new(),
             unfolded: Vec::new(),
+            velocity: false,
             motors: false,
             space: false,
             wide: false,
@@ -102,6 +106,7 @@ impl Layout {
             (EVIDENCE, (self.evidence != self.usual()).then(|| self.evidence.name().to_owned())),
             (AXIS, (self.axis != usual.axis).then(|| self.axis.name().to_owned())),
             (GROUPS, (self.unfolded != usual.unfolded).then(|| group_names(&self.unfolded))),
+            (VELOCITY, on(self.velocity)),
             (MOTORS, on(self.motors)),
             (SPACE, on(self.space)),
             (WIDE, on(self.wide)),
@@ -128,6 +133,7 @@ impl Layout {
         if let Some(names) = one(GROUPS) {
             layout.unfolded = groups_of(&names);
         }
+        layout.velocity = one(VELOCITY).is_some();
         (layout.motors, layout.space) = (one(MOTORS).is_some(), one(SPACE).is_some());
         layout.wide = one(WIDE).is_some();
         layout.window_s = one(WINDOW).and_then(|text| text.parse().ok()).filter(|s: &f64| s.is_finite());
@@ -198,6 +204,7 @@ mod tests {
                 evidence: Evidence::Errors,
                 axis: Axis::Yaw,
                 unfolded: vec![Group::Estimators, Group::Heights],
+                velocity: true,
                 motors: true,
                 space: true,
                 wide: true,

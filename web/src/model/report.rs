@@ -2,17 +2,15 @@
 
 mod page;
 
-use plumbline_rest::flight::{Flight, Step};
+use plumbline_rest::flight::{AttackEffect, Figures, Flight, Step};
 
 use super::{
     configuration::{self, Row},
-    curves::{Axis, Curve, Demand},
+    curves::Demand,
     draft::subject,
     format::{clock, fixed, plural},
     live::Live,
-    measure::rms,
     names,
-    series::Series,
 };
 
 pub use page::{document, figures};
@@ -118,68 +116,30 @@ pub fn step_spreads(steps: &[Step]) -> [Option<Spread>; 4] {
     ]
 }
 
-/// The first time a curve is above one, in a stretch.
-fn first_above(series: &Series, start_s: f64, end_s: f64) -> Option<f64> {
-    let mut within = series.samples(series.lower_bound(start_s)..series.upper_bound(end_s));
-    within.find(|(_, value)| *value > 1.0).map(|(time_s, _)| time_s)
-}
-
-/// Largest and RMS of altitude minus setpoint in a stretch, its end not included, m: true altitude where it is known.
-fn deviation(live: &Live, start_s: f64, end_s: f64) -> Option<[f64; 2]> {
-    let own = Curve::Altitude(live.in_loop());
-    let altitude = live.curves.get(Curve::TruthAltitude).or_else(|| live.curves.get(own))?;
-    let setpoint = live.curves.get(Curve::SetpointAltitude)?;
-    let within = altitude.samples(altitude.lower_bound(start_s)..altitude.lower_bound(end_s));
-    largest_and_rms(within.filter_map(|(time_s, value)| Some(f64::from(value) - f64::from(setpoint.at(time_s)?.1))))
-}
-
-/// Of what is finite among `off`; absent where nothing is.
-fn largest_and_rms(off: impl Iterator<Item = f64>) -> Option<[f64; 2]> {
-    let (mut largest, mut squares, mut count) = (0.0_f64, 0.0, 0_u32);
-    for off in off.filter(|off| off.is_finite()) {
-        largest = largest.max(off.abs());
-        squares += off * off;
-        count += 1;
-    }
-    (count > 0).then(|| [largest, (squares / f64::from(count)).sqrt()])
-}
-
-/// After the end of an attack its damage is still looked for so long, s.
-const AFTER_S: f64 = 2.0;
-
-fn attacks(live: &Live, begin_s: f64) -> Vec<Attack> {
+fn attacks(live: &Live, found: &Figures, begin_s: f64) -> Vec<Attack> {
     // What was over before it began is told in its first status, and is another flight's.
     let spans: Vec<_> = live.log.attacks.between(begin_s, f64::INFINITY).filter(|s| s.seen).collect();
-    let judged = live.suspicion_rows();
     let one = |span: &&super::spans::Span| {
         let a = &span.attack;
         let (start_s, end_s) = (span.start_s, span.end_s);
-        let key = (a.sensor, a.instance);
-        let after = |curve: Curve| {
-            let found = live.curves.get(curve).and_then(|s| first_above(s, start_s, end_s + AFTER_S));
-            found.map(|time_s| time_s - start_s)
-        };
+        let of = |effect: &&AttackEffect| (effect.accepted_time_us, effect.id) == (span.accepted_us, a.id);
+        let effect = found.attacks.iter().find(of).cloned().unwrap_or_default();
         let attacked_then = |key: &(i32, u32)| {
             spans
                 .iter()
                 .any(|s| (s.attack.sensor, s.attack.instance) == *key && s.start_s <= end_s && s.end_s >= start_s)
         };
-        let excluded = |key: &&(i32, u32)| {
-            let series = live.curves.get(Curve::Suspicion(key.0, key.1));
-            series.is_some_and(|s| first_above(s, start_s, end_s).is_some())
-        };
-        let name = |key: &(i32, u32)| names::instance(key.0.try_into().unwrap_or_default(), key.1);
-        let during = deviation(live, start_s, end_s + AFTER_S);
-        let before = deviation(live, (2.0 * start_s - end_s).max(begin_s), start_s);
+        let name = |(kind, number): (i32, u32)| names::instance(kind.try_into().unwrap_or_default(), number);
+        let excluded = effect.excluded.iter().map(|[kind, number]| (*kind as i32, *number));
         Attack {
             what: subject(a.sensor(), a.instance, a.channel(), a.kind(), a.magnitude, live.description.get()),
             span_s: [start_s - begin_s, end_s - begin_s],
             phase: names::phase(span.phase),
-            isolated_after_s: after(Curve::Suspicion(key.0, key.1)),
-            rejected_after_s: after(Curve::Worst(live.in_loop(), key.0, key.1)),
-            largest_m: during.map(|[largest, _]| largest),
-            rms_m: [during.map(|[_, rms]| rms), before.map(|[_, rms]| rms)],
-            false_exclusions: judged.iter().filter(|k| !attacked_then(k)).filter(excluded).map(name).collect(),
+            isolated_after_s: effect.isolated_after_s,
+            rejected_after_s: effect.rejected_after_s,
+            largest_m: effect.deviation_m.map(|[largest, _]| largest),
+            rms_m: [effect.deviation_m.map(|[_, rms]| rms), effect.rms_before_m],
+            false_exclusions: excluded.filter(|key| !attacked_then(key)).map(name).collect(),
         }
     };
     let mut all: Vec<Attack> = spans.iter().map(one).collect();
@@ -199,42 +159,26 @@ pub fn armed_s(live: &Live) -> Option<(f64, f64)> {
     }
 }
 
-/// The estimators by the error of their altitude while armed; needs [`super::curves::Curves::follow_errors`].
-fn ranking(live: &Live) -> Vec<Ranked> {
-    let Some((start_s, end_s)) = armed_s(live).filter(|_| live.curves.has_truth()) else { return Vec::new() };
-    let off = |curve: Curve| live.curves.get(curve).and_then(|series| rms(series, start_s, end_s));
-    let number = |(number, _): (&u16, _)| {
-        let number = *number;
-        let largest = live.curves.get(Curve::AltitudeError(number)).map(|s| s.extent_between(start_s, end_s));
-        let largest = largest.map_or(0.0, |e| f64::from(e.min.abs().max(e.max.abs())));
-        let axis = |axis| off(Curve::AttitudeError(number, axis));
-        Ranked {
-            number,
-            altitude_mm: off(Curve::AltitudeError(number)).map(|rms| [rms, largest]),
-            attitude_mrad: match (axis(Axis::Roll), axis(Axis::Pitch), axis(Axis::Yaw)) {
-                (Some(roll), Some(pitch), Some(yaw)) => Some([roll.hypot(pitch), yaw]),
-                _ => None,
-            },
-        }
-    };
-    let mut all: Vec<Ranked> = live.estimates.iter().map(number).collect();
+/// The estimators by the error of their altitude while armed.
+fn ranking(found: &Figures) -> Vec<Ranked> {
+    let known = found.estimators.iter().filter(|_| found.truth);
+    let mut all: Vec<Ranked> = known
+        .map(|of| Ranked {
+            number: of.estimator,
+            altitude_mm: of.altitude_mm,
+            attitude_mrad: of.attitude_mrad.map(|[roll, pitch, yaw]| [roll.hypot(pitch), yaw]),
+        })
+        .collect();
     let order = |r: &Ranked| r.altitude_mm.map_or(f64::INFINITY, |[rms, _]| rms);
     all.sort_by(|a, b| order(a).total_cmp(&order(b)));
     all
 }
 
 /// What an autopilot in front of the motors was asked for while armed, and what it said of that.
-fn autopilot(live: &Live) -> Vec<Followed> {
-    let Some((start_s, end_s)) = armed_s(live) else { return Vec::new() };
-    let followed = |demand: Demand| {
-        let asked = live.curves.get(Curve::Asked(demand))?;
-        let asked_rms = rms(asked, start_s, end_s)?;
-        let aimed_at = live.curves.get(Curve::AimedAt(demand));
-        let told = aimed_at.into_iter().flat_map(|s| s.samples(s.lower_bound(start_s)..s.upper_bound(end_s)));
-        let off = told.filter_map(|(time_s, aimed_at)| Some(f64::from(aimed_at) - f64::from(asked.at(time_s)?.1)));
-        Some(Followed { demand, asked_rms, off: largest_and_rms(off) })
-    };
-    Demand::ALL.into_iter().filter_map(followed).collect()
+fn autopilot(found: &Figures) -> Vec<Followed> {
+    let told = Demand::ALL.into_iter().zip(&found.autopilot);
+    let followed = told.filter_map(|(demand, of)| Some(Followed { demand, asked_rms: of.asked_rms?, off: of.off }));
+    followed.collect()
 }
 
 /// One sentence for each thing that happened.
@@ -278,16 +222,16 @@ fn told(attack: &Attack, secure: bool) -> String {
 }
 
 impl Report {
-    /// Of a flight whose messages are in `live`, errors followed; `versions` of what writes it.
-    pub fn of(flight: Flight, live: &Live, versions: Vec<Row>) -> Self {
+    /// Of a flight whose charts are in `live`, and what the ground found in all of it; `versions` of what writes it.
+    pub fn of(flight: Flight, live: &Live, found: &Figures, versions: Vec<Row>) -> Self {
         let begin_s = live.curves.time_span_s().map_or(0.0, |s| s.start);
-        let attacks = attacks(live, begin_s);
+        let attacks = attacks(live, found, begin_s);
         let secure = !live.suspicion_rows().is_empty();
         Self {
             sentence: sentence(&flight, live, &attacks, secure),
             secure,
-            ranking: ranking(live),
-            autopilot: autopilot(live),
+            ranking: ranking(found),
+            autopilot: autopilot(found),
             vehicle: configuration::vehicle(&flight, live),
             gains: configuration::gains(live),
             scenario: live.description.get().map(|d| d.scenario.clone()).unwrap_or_default(),

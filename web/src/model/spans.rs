@@ -10,6 +10,8 @@ const MAX_SPANS: usize = 500;
 /// One attack on the time axis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Span {
+    /// When its schedule was accepted, µs.
+    pub accepted_us: u64,
     /// The attack as scheduled.
     pub attack: v1::Attack,
     /// Where it stands.
@@ -39,6 +41,7 @@ impl Spans {
             let start_s = progress.active_time_us.map_or(due_s, |t| t as f64 * 1e-6);
             let end_s = progress.ended_time_us.map_or(due_s + attack.duration_s, |t| t as f64 * 1e-6);
             let span = Span {
+                accepted_us: progress.accepted_time_us,
                 attack: *attack,
                 phase: progress.phase(),
                 start_s,

@@ -325,6 +325,7 @@ fn Outcome() -> impl IntoView {
     let bench: Bench = expect_context();
     view! {
         <section class="card facts fit-result" aria-label="Fit" aria-live="polite">
+            <h2 class="visually-hidden">"Fit"</h2>
             {move || match bench.shown.get() {
                 None => view! { <p class="quiet blank">"The picture of the fit comes here: the samples before and after, what is left, and every parameter with its uncertainty."</p> }.into_any(),
                 Some(Err(why)) => view! { <p class="bad blank" role="alert">{why}</p> }.into_any(),

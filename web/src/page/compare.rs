@@ -31,7 +31,7 @@ use crate::{
 /// Kinds that are compared.
 const KINDS: &str = "estimate,control,status,attacks,event,step,description,gains";
 /// Most flights at once: more colours than this cannot be told apart.
-const MOST: usize = 8;
+pub const MOST: usize = 8;
 /// A flight that leads by so much has taken off, m.
 const OFF_THE_GROUND_M: f64 = 0.1;
 
@@ -488,6 +488,7 @@ fn named(i: usize, flight: &Flight) -> impl IntoView + use<> {
 fn Figures(flights: Vec<Flight>) -> impl IntoView {
     view! {
         <section class="card table-wrap" aria-label="Figures">
+            <h2 class="visually-hidden">"Figures"</h2>
             <table>
                 <thead><tr><th>"flight"</th><th>"rig"</th><th class="num">"duration"</th><th class="num">"error RMS"</th><th class="num">"steps"</th><th class="num">"attacks"</th></tr></thead>
                 <tbody>

@@ -37,6 +37,7 @@ use crate::{
         readouts::Readouts,
         signals::Messages,
         toolbar::Link,
+        top_view::FromAbove,
         waiting::Waiting,
     },
 };
@@ -261,6 +262,7 @@ fn Player(id: String, deck: Deck, summary: RwSignal<Option<Result<Flight, Failur
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
+                <FromAbove />
                 <CursorsCard />
             </div>
             <div class="centre">

@@ -24,6 +24,7 @@ use crate::{
         setpoint::{ModeFields, SetpointCard},
         signals::Messages,
         simulator::SimulatorCard,
+        top_view::FromAbove,
     },
 };
 
@@ -114,6 +115,7 @@ pub fn Fly() -> impl IntoView {
             <div class="left">
                 <Show when=move || drawn.get()><HorizonCard /></Show>
                 <Readouts />
+                <FromAbove />
                 <CursorsCard />
             </div>
             <div class="centre">

@@ -29,6 +29,8 @@ const ATTITUDE_SPAN_DEG: f64 = 6.0;
 
 /// Shortest range of errors and differences shown, mm or mrad.
 const ERROR_SPAN: f64 = 10.0;
+/// And of velocities.
+const VELOCITY_SPAN_MPS: f64 = 0.1;
 /// Shortest range of a signal shown, in its unit.
 const SIGNAL_SPAN: f64 = 1e-6;
 /// What an error of one estimator in the loop leaves to the others and to the band: so many times its own range.
@@ -88,6 +90,7 @@ impl Frame {
                 let of = Some(self.deck.error_axis.get_untracked());
                 Some(self.chart(slot, rect, live, axis, self.errors(live, of), ERROR_SPAN, None))
             }
+            Picture::Velocity => Some(self.chart(slot, rect, live, axis, self.velocity(live), VELOCITY_SPAN_MPS, None)),
             Picture::Signal(place) => {
                 let drawn = self.drawn(live, Curve::Signal(place), Style::Solid);
                 // Before it is read its axis says nothing.
@@ -240,6 +243,15 @@ impl Frame {
         bands.chain(curves).collect()
     }
 
+    /// Velocities along one direction: truth below, the estimator in the loop on top.
+    fn velocity<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
+        let (in_loop, way) = (live.in_loop(), self.deck.way.get_untracked());
+        let others = live.curves.velocities(way).filter(|(_, n)| *n != in_loop).map(|(curve, _)| (curve, Style::Solid));
+        let own = (Curve::Velocity(in_loop, way), Style::Strong);
+        let all = std::iter::once((Curve::TruthVelocity(way), Style::Solid)).chain(others).chain([own]);
+        all.filter_map(|(curve, style)| self.drawn(live, curve, style)).collect()
+    }
+
     fn motors<'a>(&self, live: &'a Live) -> Vec<Drawn<'a>> {
         (0..8).filter_map(|i| self.drawn(live, Curve::Motor(i), Style::Solid)).collect()
     }
@@ -299,7 +311,11 @@ impl Frame {
         view.marks.extend(ends.map(|time_s| Mark { time_s, color: self.theme.ink }));
         if matches!(
             slot.picture,
-            Picture::Residual | Picture::AltitudeError | Picture::AttitudeError | Picture::Difference
+            Picture::Residual
+                | Picture::AltitudeError
+                | Picture::AttitudeError
+                | Picture::Velocity
+                | Picture::Difference
         ) {
             view.levels.push(LevelLine { value: 0.0, color: self.theme.axis, dashed: false });
         }

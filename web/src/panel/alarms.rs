@@ -259,6 +259,7 @@ pub fn Dock() -> impl IntoView {
     let flies = Memo::new(move |_| ctx.live(|live| live.status.get().is_some_and(|s| s.armed) && !live.is_replay()));
     view! {
         <section class="dock" aria-label="Land and cut">
+            <h2 class="visually-hidden">"Land and cut"</h2>
             <Guarded><button type="button" class="land" disabled=move || !flies.get() on:click=move |_| ctx.land()>"Land"</button></Guarded>
             <button type="button" class="cut" on:click=move |_| ctx.cut()>"CUT MOTORS"</button>
         </section>

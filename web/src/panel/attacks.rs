@@ -10,7 +10,9 @@ use crate::{
     ctx::ctx,
     model::{
         draft::{self, Draft, Form, magnitude_unit, subject},
-        format, names,
+        format,
+        live::Live,
+        names,
     },
 };
 
@@ -88,6 +90,8 @@ pub fn AttacksCard() -> impl IntoView {
         ctx.live(|live| running(live.attacks.get().map_or(&[], |a| a.attacks.as_slice()), live.description.get(), now))
     });
     let alive = Memo::new(move |_| state.with(|s| s.elapsed_s.is_some()));
+    // A draft is the page's own.
+    let old = Memo::new(move |_| ctx.is_old(|live| &live.attacks) && drafts.with(Vec::is_empty));
     // While a draft is being written the timeline shows the draft, else the vehicle's schedule.
     let bars = Memo::new(move |_| {
         let drafts = drafts.get();
@@ -137,10 +141,12 @@ pub fn AttacksCard() -> impl IntoView {
                 }.into_any(),
                 None => view! { <p class="quiet">"Attacks can be planned once a vehicle is connected."</p> }.into_any(),
                 Some(true) => view! {
-                    <Editor drafts />
+                    <Editor drafts live=ctx.live focused=true />
                     <Prepare drafts />
-                    <Timeline bars elapsed=Signal::derive(move || if drafts.with(Vec::is_empty) { state.with(|s| s.elapsed_s) } else { None }) />
-                    <List bars drafts />
+                    <div class="schedule" class:stale=old>
+                        <Timeline bars elapsed=Signal::derive(move || if drafts.with(Vec::is_empty) { state.with(|s| s.elapsed_s) } else { None }) />
+                        <List bars drafts />
+                    </div>
                     <ExpectedLine drafts />
                     <Show when=move || !drafts.with(Vec::is_empty)>
                         <div class="buttons">
@@ -264,14 +270,24 @@ where
 
 /// The form that adds one attack to the draft.
 #[component]
-fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
+pub fn Editor(
+    /// Where it is added.
+    drafts: RwSignal<Vec<Draft>>,
+    /// Whose vehicle describes what can be attacked.
+    live: StoredValue<Live, LocalStorage>,
+    /// Does the key for attacks lead here?
+    #[prop(optional)]
+    focused: bool,
+) -> impl IntoView {
     let ctx = ctx();
+    let described = move || ctx.tick.track();
     let form = RwSignal::new(Form::default());
     let refusal = RwSignal::new(None::<String>);
     let first = NodeRef::<html::Select>::new();
     Effect::new(move |seen: Option<u64>| {
         let asked = ctx.attacks_focus.get();
-        if seen.is_some_and(|s| s != asked)
+        if focused
+            && seen.is_some_and(|s| s != asked)
             && let Some(select) = first.get_untracked()
         {
             // Focus fails only on what cannot have it.
@@ -280,7 +296,8 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
         asked
     });
     let sensors = Memo::new(move |_| {
-        ctx.live(|live| {
+        described();
+        live.with_value(|live| {
             live.description
                 .get()
                 .map(|d| draft::targets(d).map(|s| (s.kind(), s.instance)).collect::<Vec<_>>())
@@ -289,7 +306,7 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     });
     let add = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
-        let checked = ctx.live.with_value(|live| form.get_untracked().check(live.description.get()));
+        let checked = live.with_value(|live| form.get_untracked().check(live.description.get()));
         refusal.set(checked.as_ref().err().cloned());
         if let Ok(draft) = checked {
             drafts.update(|all| all.push(draft));
@@ -303,7 +320,8 @@ fn Editor(drafts: RwSignal<Vec<Draft>>) -> impl IntoView {
     // What the vehicle says of the chosen sensor.
     let channels = Memo::new(move |_| {
         let (sensor, instance) = form.with(|f| (f.sensor, f.instance));
-        ctx.live(|live| draft::channels(live.description.get(), sensor, instance).to_vec())
+        described();
+        live.with_value(|live| draft::channels(live.description.get(), sensor, instance).to_vec())
     });
     let unit = Memo::new(move |_| form.with(|f| channels.with(|c| magnitude_unit(f.kind, c, f.channel))));
     // Another sensor or kind may not cover the channel chosen before.

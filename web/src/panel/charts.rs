@@ -15,6 +15,7 @@ use crate::{
     deck::{Picture, deck},
     model::{
         curves::{Axis, Curve},
+        layout::Evidence as Shown,
         live::Live,
         names,
     },
@@ -80,7 +81,7 @@ pub fn Charts() -> impl IntoView {
         <Show when=move || deck.wide.get()><SpaceCard /></Show>
         <AltitudeChart />
         <Show when=move || !deck.wide.get()>
-            <AttitudeChart />
+            <Show when=move || { deck.evidence.get() != Shown::Errors || !deck.velocity.get() }><AttitudeChart /></Show>
             <Evidence />
             <MotorsAndTicks />
         </Show>

@@ -15,6 +15,7 @@ use crate::{
 #[component]
 pub fn EstimatorCard() -> impl IntoView {
     let ctx = ctx();
+    let old = Memo::new(move |_| ctx.is_old(|live| &live.status));
     let in_loop = Memo::new(move |_| ctx.live(|live| i32::from(live.in_loop())));
     let offered = Memo::new(move |_| ctx.live(|live| live.offered_estimators()));
     let cost = Memo::new(move |_| {
@@ -49,6 +50,7 @@ pub fn EstimatorCard() -> impl IntoView {
             <label for="estimator-in-loop"><h2>"Estimator"</h2></label>
             <select
                 id="estimator-in-loop"
+                class:stale=old
                 aria-label="Estimator in the loop"
                 disabled=move || offered.get().len() < 2
                 title=move || cost.get().map(|cost| format!("A step takes {cost}"))

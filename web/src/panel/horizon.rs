@@ -30,6 +30,7 @@ pub fn HorizonCard() -> impl IntoView {
     let here = Memo::new(move |_| deck.space.get() && !deck.wide.get());
     view! {
         <section class="card horizon-card" aria-label="Attitude instrument">
+            <h2 class="visually-hidden">"Attitude instrument"</h2>
             <div class="horizon-row">
                 {move || if here.get() { view! { <Space /> }.into_any() } else { view! { <Horizon /> }.into_any() }}
                 <Tape />

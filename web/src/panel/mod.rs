@@ -35,4 +35,5 @@ pub mod table;
 pub mod timebar;
 pub mod toolbar;
 pub mod top_view;
+pub mod velocity;
 pub mod waiting;

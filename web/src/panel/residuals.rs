@@ -9,6 +9,7 @@ use super::{
     plot::Plot,
     secure::SecureCard,
     signals::SignalsCard,
+    velocity::VelocityCard,
 };
 use crate::{
     deck::{Picture, Source, deck},
@@ -48,7 +49,7 @@ pub fn Evidence() -> impl IntoView {
     move || match deck.evidence.get() {
         Shown::Residuals => view! { <Residuals /> }.into_any(),
         Shown::Secure => view! { <SecureCard /> }.into_any(),
-        Shown::Errors => view! { <Errors /> }.into_any(),
+        Shown::Errors => view! { <Errors /><VelocityCard /> }.into_any(),
         Shown::Signals => view! { <SignalsCard /> }.into_any(),
     }
 }

@@ -8,7 +8,6 @@ use super::paths::{PathForm, PathsButton};
 use super::top_view::TopView;
 use crate::{
     ctx::ctx,
-    event::Tone,
     keys,
     model::{curves::DEGREES, format, live::Live},
 };
@@ -76,6 +75,7 @@ impl Target {
 pub fn SetpointCard() -> impl IntoView {
     let ctx = ctx();
     let typed = RwSignal::new(String::new());
+    let problem = RwSignal::new(String::new());
     let paths = RwSignal::new(false);
     let replayed = Memo::new(move |_| ctx.live(|live| live.is_replay()));
     let in_use = Memo::new(move |_| ctx.live(|live| live.setpoint_m()));
@@ -87,11 +87,12 @@ pub fn SetpointCard() -> impl IntoView {
         e.prevent_default();
         match format::parse_number(&typed.get_untracked()) {
             Ok(value) => {
+                problem.set(String::new());
                 ctx.set_altitude(value);
                 typed.set(String::new());
                 keys::let_go();
             }
-            Err(error) => ctx.tell(Tone::Error, format!("Setpoint: {error}")),
+            Err(error) => problem.set(error),
         }
     };
     view! {
@@ -125,9 +126,13 @@ pub fn SetpointCard() -> impl IntoView {
                             format!("{} – {} m", format::fixed(low, 2), format::fixed(high, 2))
                         })
                         prop:value=typed
-                        on:input:target=move |e| typed.set(e.target().value())
+                        on:input:target=move |e| {
+                            typed.set(e.target().value());
+                            problem.set(String::new());
+                        }
                     />
                     <button type="submit">"Set"</button>
+                    <Problem text=problem />
                 </form>
                 <PathForm open=paths />
             </Show>
@@ -147,7 +152,8 @@ pub fn ModeFields() -> impl IntoView {
     };
     move || match mode.get() {
         Mode::Hold => {
-            card("Position", "from above, north up", Some(view! { <TopView /> }.into_any()), &POSITION).into_any()
+            card("Position", "from above, north up", Some(view! { <TopView settable=true /> }.into_any()), &POSITION)
+                .into_any()
         }
         Mode::Stabilise => card("Attitude and thrust", "", None, &ATTITUDE).into_any(),
         _ => ().into_any(),
@@ -178,21 +184,29 @@ fn body(entries: &[Entry], texts: &[String]) -> Result<serde_json::Value, String
     if out.is_empty() { Err("no value is given".to_owned()) } else { Ok(out.into()) }
 }
 
+/// What is wrong with what was typed, below its form and over what follows: nothing moves for it.
+#[component]
+fn Problem(text: RwSignal<String>) -> impl IntoView {
+    view! { <span class="problem" role="alert" class:told=move || !text.with(String::is_empty)>{text}</span> }
+}
+
 /// A row of number fields, sent together.
 #[component]
 fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
     let ctx = ctx();
     let texts: Vec<RwSignal<String>> = entries.iter().map(|_| RwSignal::new(String::new())).collect();
     let typed = texts.clone();
+    let problem = RwSignal::new(String::new());
     let send = move |e: leptos::ev::SubmitEvent| {
         e.prevent_default();
         let texts: Vec<String> = typed.iter().map(|text| text.get_untracked()).collect();
         match body(entries, &texts) {
             Ok(body) => {
+                problem.set(String::new());
                 ctx.command(name, "POST", "setpoint", body);
                 keys::let_go();
             }
-            Err(error) => ctx.tell(Tone::Error, format!("{name}: {error}")),
+            Err(error) => problem.set(error),
         }
     };
     view! {
@@ -200,10 +214,14 @@ fn Fields(name: &'static str, entries: &'static [Entry]) -> impl IntoView {
             {entries.iter().zip(texts).map(|((label, unit, ..), text)| view! {
                 <label class="field">
                     <span>{*label} " " <small>{*unit}</small></span>
-                    <input type="text" inputmode="decimal" autocomplete="off" prop:value=text on:input:target=move |e| text.set(e.target().value()) />
+                    <input type="text" inputmode="decimal" autocomplete="off" prop:value=text on:input:target=move |e| {
+                        text.set(e.target().value());
+                        problem.set(String::new());
+                    } />
                 </label>
             }).collect::<Vec<_>>()}
             <button type="submit">"Go"</button>
+            <Problem text=problem />
         </form>
     }
 }

@@ -1,16 +1,20 @@
-//! The plane from above, in hold: the box the vehicle stays in, where it was, is and is to be. A click sets the position;
-//! the fields beside it do the same by keyboard.
+//! The plane from above: the box the vehicle stays in, where it was, is and is to be. In hold a click sets the position;
+//! the fields on its card do the same by keyboard.
 
 use std::fmt::Write as _;
 
 use leptos::prelude::*;
+use plumbline_proto::v1::Mode;
 use serde_json::json;
 
+use super::alarms::Guarded;
 use crate::{
     ctx::ctx,
+    deck::{Deck, Source, deck},
     model::{
-        curves::{Axis, Curve},
+        curves::{Axis, Curve, Horizontal},
         format::fixed,
+        layout::Evidence,
         live::Live,
     },
 };
@@ -38,10 +42,12 @@ struct Seen {
 }
 
 impl Seen {
-    fn new(live: &Live) -> Self {
-        let now_s = live.clock.newest_us() as f64 * 1e-6;
+    /// At a flight time; the newest, where none is given.
+    fn new(live: &Live, at_s: Option<f64>) -> Self {
+        let now_s = at_s.unwrap_or(live.clock.newest_us() as f64 * 1e-6);
         let times = (0..=TRAIL_POINTS).rev().map(|n| now_s - TRAIL_S * f64::from(n) / f64::from(TRAIL_POINTS));
-        let setpoint = live.control.get().and_then(|control| control.setpoint.as_ref());
+        let control = live.control.get().filter(|_| at_s.is_none());
+        let setpoint = control.and_then(|control| control.setpoint.as_ref());
         let limits = live.description.get().and_then(|description| description.limits.as_ref());
         Self {
             half_m: limits.map_or(0.0, |limits| limits.lateral_max_m),
@@ -85,14 +91,63 @@ fn points(trail: &[[f64; 2]]) -> String {
     })
 }
 
-/// The picture.
+/// Is the position observed at a flight time, or now?
+fn observed(live: &Live, at_s: Option<f64>) -> bool {
+    let now_s = at_s.unwrap_or(live.clock.newest_us() as f64 * 1e-6);
+    let newest = live.curves.get(Curve::Plane(Horizontal::East)).and_then(|series| series.at(now_s));
+    newest.is_some_and(|(time_s, east_m)| east_m.is_finite() && now_s - time_s < TRAIL_S)
+}
+
+/// Beside the errors, in every mode in which a position is observed.
 #[component]
-pub fn TopView() -> impl IntoView {
+pub fn FromAbove() -> impl IntoView {
+    let (ctx, deck) = (ctx(), deck());
+    let known = Memo::new(move |_| {
+        let at_s = deck.reading_s();
+        deck.evidence.get() == Evidence::Errors && deck.read(|live| observed(live, at_s))
+    });
+    let sets = Memo::new(move |_| {
+        deck.source == Source::Live && ctx.live(|live| !live.is_replay() && live.mode() == Mode::Hold)
+    });
+    move || {
+        known.get().then(|| {
+            let picture = if sets.get() {
+                view! { <Guarded><TopView settable=true /></Guarded> }.into_any()
+            } else {
+                view! { <TopView settable=false /> }.into_any()
+            };
+            view! {
+                <section class="card from-above" aria-label="Position from above">
+                    <header><h2>"From above"</h2><span class="quiet">"north up"</span></header>
+                    {picture}
+                </section>
+            }
+        })
+    }
+}
+
+/// The picture: where the charts are read, of a vehicle with charts.
+#[component]
+pub fn TopView(
+    /// Does a click set the position?
+    settable: bool,
+) -> impl IntoView {
     let ctx = ctx();
     let node = NodeRef::<leptos::svg::Svg>::new();
-    let seen = Memo::new(move |_| ctx.live(Seen::new));
-    let old = Memo::new(move |_| ctx.is_old(|live| &live.control));
+    let deck = use_context::<Deck>();
+    let seen = Memo::new(move |_| match deck {
+        Some(deck) => {
+            let at_s = deck.reading_s();
+            deck.read(|live| Seen::new(live, at_s))
+        }
+        None => ctx.live(|live| Seen::new(live, None)),
+    });
+    let old =
+        Memo::new(move |_| deck.is_none_or(|deck| deck.source == Source::Live) && ctx.is_old(|live| &live.control));
     let click = move |event: leptos::ev::MouseEvent| {
+        if !settable {
+            return;
+        }
         let Some(rect) = node.get_untracked().map(|node| node.get_bounding_client_rect()) else { return };
         let (side_m, half_m) = seen.with_untracked(|seen| (seen.side_m(), seen.half_m));
         let px = rect.width().min(rect.height());
@@ -134,13 +189,14 @@ pub fn TopView() -> impl IntoView {
         <svg
             class="top-view"
             class:stale=old
+            class:settable=settable
             role="img"
             aria-label=move || seen.with(Seen::label)
             node_ref=node
             viewBox=move || seen.with(|seen| format!("{0} {0} {1} {1}", -seen.side_m(), 2.0 * seen.side_m()))
             on:click=click
         >
-            <title>"From above, north up; lines are 0.5 m apart. A click sets the position."</title>
+            <title>{if settable { "From above, north up; lines are 0.5 m apart. A click sets the position." } else { "From above, north up; lines are 0.5 m apart." }}</title>
             {body}
         </svg>
     }

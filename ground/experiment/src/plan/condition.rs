@@ -64,10 +64,19 @@ struct RawAttack {
     /// `none`: only the onset counts; `drawn`: anything that the vehicle takes; `colluding`: the same bias on each; or a kind.
     kind: String,
     magnitude: f64,
+    /// `given`: a bias or ramp has the sign of its magnitude; else that of one above zero is drawn.
+    sign: Sign,
     start_s: Option<f64>,
     duration_s: Option<f64>,
     /// How many sensors, where attacks are drawn, or collude.
     count: Option<usize>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Sign {
+    Drawn,
+    Given,
 }
 
 impl Default for RawAttack {
@@ -79,6 +88,7 @@ impl Default for RawAttack {
             channel: None,
             kind,
             magnitude: 0.0,
+            sign: Sign::Drawn,
             start_s: None,
             duration_s: None,
             count: None,
@@ -307,5 +317,6 @@ fn given(raw: &RawAttack) -> Result<Given, String> {
     };
     let RawAttack { instance, start_s, duration_s, .. } = *raw;
     let count = raw.count.unwrap_or(1);
-    Ok(Given { sensor: sensor.kind, instance, channel, kind, magnitude, start_s, count, duration_s })
+    let sign_drawn = raw.sign == Sign::Drawn;
+    Ok(Given { sensor: sensor.kind, instance, channel, kind, magnitude, sign_drawn, start_s, count, duration_s })
 }

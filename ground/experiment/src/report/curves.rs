@@ -48,9 +48,13 @@ pub(super) fn detected(out: &mut String, experiment: &Experiment, results: &Resu
     let key = factors.get(x).map_or("", |factor| factor.key.as_str());
     let _ = write!(
         out,
-        "<h2>Detected</h2>\n<figure>{}<figcaption>Part of the flights whose attacked sensors were all excluded, with its 95 % \
-         interval (Wilson); dashed what the model expects, where it can tell.</figcaption></figure>\n",
-        svg::curves(key, "part of flights", Look::Points, &series),
+        "<h2>Detected</h2>\n{}",
+        svg::figure(
+            "detected",
+            &svg::curves(key, "part of flights", Look::Points, &series),
+            "Part of the flights whose attacked sensors were all excluded, with its 95 % interval (Wilson); dashed what the model \
+             expects, where it can tell.",
+        ),
     );
 }
 
@@ -96,11 +100,17 @@ pub(super) fn roc(out: &mut String, experiment: &Experiment, results: &Results, 
     }
     let _ = write!(
         out,
-        "<h2>Receiver operating characteristic</h2>\n<figure>{}<figcaption>Attacked flights alarmed over flights without an \
-         attack alarmed, by a threshold on <code>{SCORE}</code> of the estimator in the loop, against the condition that differs \
-         in the attack alone; the area is the probability that an attacked flight scores higher. The point of the same colour is what \
-         the flights excluded: every attacked sensor, and any healthy one.</figcaption></figure>\n",
-        svg::curves("part of the flights without an attack", "part of attacked flights", Look::Line, &series),
+        "<h2>Receiver operating characteristic</h2>\n{}",
+        svg::figure(
+            "roc",
+            &svg::curves("part of the flights without an attack", "part of attacked flights", Look::Line, &series),
+            &format!(
+                "Attacked flights alarmed over flights without an attack alarmed, by a threshold on <code>{SCORE}</code> of the \
+                 estimator in the loop, against the condition that differs in the attack alone; the area is the probability that an \
+                 attacked flight scores higher. The point of the same colour is what the flights excluded: every attacked sensor, and \
+                 any healthy one."
+            ),
+        ),
     );
 }
 
@@ -125,10 +135,16 @@ pub(super) fn over_time(out: &mut String, experiment: &Experiment, results: &Res
         .collect();
     let _ = write!(
         out,
-        "<h2>Error over time</h2>\n<figure>{}<figcaption>True altitude less setpoint, m, without its sign: median and quartiles of \
-         the first {} flights of each condition, since the onset or since boot.</figcaption></figure>\n",
-        svg::curves("s", "altitude less setpoint, m", Look::Band, &series),
-        bands.repeats,
+        "<h2>Error over time</h2>\n{}",
+        svg::figure(
+            "error",
+            &svg::curves("s", "altitude less setpoint, m", Look::Band, &series),
+            &format!(
+                "True altitude less setpoint, m, without its sign: median and quartiles of the first {} flights of each condition, \
+                 since the onset or since boot.",
+                bands.repeats
+            ),
+        ),
     );
 }
 

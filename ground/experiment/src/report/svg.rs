@@ -1,4 +1,4 @@
-//! Pictures of a report, as SVG text.
+//! Pictures of a report, as SVG text; each can be kept as a file of its own.
 
 use std::fmt::Write as _;
 
@@ -13,6 +13,27 @@ const LEFT: f64 = 60.0;
 const TOP: f64 = 12.0;
 /// Okabe–Ito, readable with every kind of colour vision.
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8a7a00"];
+
+/// Of a picture that stands alone: on paper.
+const STYLE: &str = "svg{background:#fff}text{fill:#1b1f24;font:12px system-ui,sans-serif}.axis{stroke:#d5dae0}\
+    .box{fill:none;stroke:#1b1f24}.violin{fill:#0072b2;fill-opacity:.14}.dot{fill:#0072b2;fill-opacity:.45}.lost{fill:#d55e00}";
+
+/// A figure with its caption, and the picture as a file of this name.
+pub(super) fn figure(name: &str, picture: &str, caption: &str) -> String {
+    let link = super::kept(&format!("{name}.svg"), "image/svg+xml", &alone(picture), "SVG");
+    format!("<figure>{picture}<figcaption>{caption} {link}</figcaption></figure>\n")
+}
+
+/// The picture as a document: with what its page gives it, and without what leads elsewhere.
+fn alone(picture: &str) -> String {
+    let mut out = String::new();
+    for (n, part) in picture.split("<a ").enumerate() {
+        // Up to the end of its tag a link is left out.
+        out.push_str(if n == 0 { part } else { part.split_once('>').map_or("", |(_, rest)| rest) });
+    }
+    let out = out.replace("</a>", "").replacen("<svg", "<svg xmlns=\"http://www.w3.org/2000/svg\"", 1);
+    out.replacen('>', &format!("><style>{STYLE}</style>"), 1)
+}
 
 /// One flight.
 pub(super) struct Dot {
@@ -93,7 +114,7 @@ impl Axis {
 }
 
 fn begin(what: &str, height: f64) -> String {
-    format!("<svg viewBox=\"0 0 {WIDTH} {height}\" role=img aria-label=\"{}\">", escape(what))
+    format!("<svg viewBox=\"0 0 {WIDTH} {height}\" role=\"img\" aria-label=\"{}\">", escape(what))
 }
 
 fn ticks(out: &mut String, axis: Axis) {
@@ -101,7 +122,7 @@ fn ticks(out: &mut String, axis: Axis) {
         let y = TOP + HEIGHT * (1.0 - part);
         let _ = write!(
             out,
-            "<line class=axis x1={LEFT} x2={WIDTH} y1={y:.1} y2={y:.1} /><text x={:.0} y={:.1} text-anchor=end>{}</text>",
+            "<line class=\"axis\" x1=\"{LEFT}\" x2=\"{WIDTH}\" y1=\"{y:.1}\" y2=\"{y:.1}\" /><text x=\"{:.0}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
             LEFT - 6.0,
             y + 4.0,
             number(axis.at(part)),
@@ -134,7 +155,7 @@ fn violin(values: &[f64], axis: Axis, middle: f64, half: f64) -> String {
         let (x, y) = (middle + side * half * density / most, TOP + HEIGHT * (1.0 - place));
         let _ = write!(path, "{}{x:.1} {y:.1}", if path.is_empty() { 'M' } else { 'L' });
     }
-    format!("<path class=violin d=\"{path}Z\" />")
+    format!("<path class=\"violin\" d=\"{path}Z\" />")
 }
 
 /// A box and a density for each column, and its dots.
@@ -156,7 +177,7 @@ pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
             let class = if dot.lost { "dot lost" } else { "dot" };
             let _ = write!(
                 out,
-                "<a href=\"{}\" target=_blank><circle class=\"{class}\" cx={:.1} cy={:.1} r=3><title>{}</title></circle></a>",
+                "<a href=\"{}\" target=\"_blank\"><circle class=\"{class}\" cx=\"{:.1}\" cy=\"{:.1}\" r=\"3\"><title>{}</title></circle></a>",
                 dot.link,
                 middle + aside,
                 y(dot.value),
@@ -168,8 +189,8 @@ pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
             let (q1, q3, m) = (y(s.quarter), y(s.three_quarters), y(s.median));
             let _ = write!(
                 out,
-                "<path class=box d=\"M{middle:.1} {:.1}V{q3:.1}M{middle:.1} {q1:.1}V{:.1}M{left:.1} {q1:.1}H{right:.1}V{q3:.1}H{left:.1}Z\" />\
-                 <path class=box stroke-width=3 d=\"M{left:.1} {m:.1}H{right:.1}\" />",
+                "<path class=\"box\" d=\"M{middle:.1} {:.1}V{q3:.1}M{middle:.1} {q1:.1}V{:.1}M{left:.1} {q1:.1}H{right:.1}V{q3:.1}H{left:.1}Z\" />\
+                 <path class=\"box\" stroke-width=\"3\" d=\"M{left:.1} {m:.1}H{right:.1}\" />",
                 y(s.most),
                 y(s.least),
             );
@@ -177,7 +198,7 @@ pub(super) fn boxes(what: &str, columns: &[Column]) -> String {
         let foot = TOP + HEIGHT + 14.0;
         let _ = write!(
             out,
-            "<text x={middle:.1} y={foot:.1} text-anchor=end transform=\"rotate(-35 {middle:.1} {foot:.1})\">{}</text>",
+            "<text x=\"{middle:.1}\" y=\"{foot:.1}\" text-anchor=\"end\" transform=\"rotate(-35 {middle:.1} {foot:.1})\">{}</text>",
             escape(&column.label),
         );
     }
@@ -199,7 +220,8 @@ pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Poi
     ticks(&mut out, up);
     let place = |x: f64, y: f64| (LEFT + (WIDTH - LEFT) * across.place(x), TOP + HEIGHT * (1.0 - up.place(y)));
     if look == Look::Line {
-        let _ = write!(out, "<path class=axis stroke-dasharray=4 d=\"M{LEFT} {}L{WIDTH} {TOP}\" />", TOP + HEIGHT);
+        let _ =
+            write!(out, "<path class=\"axis\" stroke-dasharray=\"4\" d=\"M{LEFT} {}L{WIDTH} {TOP}\" />", TOP + HEIGHT);
     }
     for (nth, (name, points)) in series.iter().enumerate().filter(|(_, (_, points))| !points.is_empty()) {
         let of_two = if look == Look::Band { nth } else { nth / 2 };
@@ -221,15 +243,15 @@ pub(super) fn curves(x: &str, what: &str, look: Look, series: &[(String, Vec<Poi
                 let low = points.iter().map(|point| (point.x, point.interval[0]));
                 let high = points.iter().rev().map(|point| (point.x, point.interval[1]));
                 let edge = path(&mut low.chain(high));
-                let _ = write!(out, "<path fill={colour} fill-opacity=.18 d=\"{edge}Z\" />");
+                let _ = write!(out, "<path fill=\"{colour}\" fill-opacity=\".18\" d=\"{edge}Z\" />");
             }
         }
         let line = path(&mut points.iter().map(|point| (point.x, point.y)));
         let foot = TOP + HEIGHT + 44.0 + 18.0 * nth as f64;
-        let dashes = if dashed { " stroke-dasharray=6" } else { "" };
+        let dashes = if dashed { " stroke-dasharray=\"6\"" } else { "" };
         let _ = write!(
             out,
-            "<path fill=none stroke={colour} stroke-width=2{dashes} d=\"{line}\" /><text x={LEFT} y={foot} style=\"fill:{colour}\">{}</text>",
+            "<path fill=\"none\" stroke=\"{colour}\" stroke-width=\"2\"{dashes} d=\"{line}\" /><text x=\"{LEFT}\" y=\"{foot}\" style=\"fill:{colour}\">{}</text>",
             escape(name),
         );
     }
@@ -242,8 +264,8 @@ fn marked(out: &mut String, x: &str, colour: &str, point: &Point, place: &impl F
     let [low, high] = point.interval.map(|end| place(point.x, end).1);
     let _ = write!(
         out,
-        "<path stroke={colour} stroke-opacity=.5 d=\"M{px:.1} {low:.1}V{high:.1}\" /><circle fill={colour} cx={px:.1} cy={py:.1} \
-         r=3><title>{} {}: {:.2}</title></circle>",
+        "<path stroke=\"{colour}\" stroke-opacity=\".5\" d=\"M{px:.1} {low:.1}V{high:.1}\" /><circle fill=\"{colour}\" cx=\"{px:.1}\" cy=\"{py:.1}\" \
+         r=\"3\"><title>{} {}: {:.2}</title></circle>",
         escape(x),
         number(point.x),
         point.y,
@@ -255,15 +277,34 @@ fn foot(out: &mut String, across: Axis, x: &str) {
     for part in [0.0, 0.25, 0.5, 0.75, 1.0] {
         let (at, foot) = (LEFT + (WIDTH - LEFT) * part, TOP + HEIGHT + 16.0);
         let anchor = if part > 0.9 { "end" } else { "middle" };
-        let _ = write!(out, "<text x={at:.1} y={foot} text-anchor={anchor}>{}</text>", number(across.at(part)));
+        let _ =
+            write!(out, "<text x=\"{at:.1}\" y=\"{foot}\" text-anchor=\"{anchor}\">{}</text>", number(across.at(part)));
     }
     let (middle, below) = (0.5 * (LEFT + WIDTH), TOP + HEIGHT + 32.0);
-    let _ = write!(out, "<text x={middle:.0} y={below:.0} text-anchor=middle>{}</text>", escape(x));
+    let _ = write!(out, "<text x=\"{middle:.0}\" y=\"{below:.0}\" text-anchor=\"middle\">{}</text>", escape(x));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_picture_that_stands_alone_has_its_style_and_leads_nowhere() {
+        let dot = Dot { value: 1.0, lost: true, link: "/open".into(), says: "flight 1 < 2".into() };
+        let column = Column { label: "a & b".into(), spread: None, values: Vec::new(), dots: vec![dot] };
+        let text = alone(&boxes("altitude_m", &[column]));
+        assert!(text.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox="), "{text}");
+        assert!(
+            text.contains("aria-label=\"altitude_m\"><style>svg{") && !text.contains("/open") && !text.contains("<a")
+        );
+        assert!(
+            text.contains("<circle class=\"dot lost\"") && text.contains("flight 1 &lt; 2") && text.ends_with("</svg>")
+        );
+        // An XML document quotes every attribute.
+        let bare = |tag: &str| tag.split('=').skip(1).any(|value| !value.starts_with('"'));
+        let tags = text.split('<').filter_map(|tag| Some(tag.split_once('>')?.0)).filter(|tag| !tag.starts_with('/'));
+        assert!(tags.clone().count() > 10 && !tags.into_iter().any(bare), "{text}");
+    }
 
     #[test]
     fn a_density_is_widest_where_most_values_are() {

@@ -38,6 +38,18 @@ class AtGround(TypedDict):
     name: str
 
 
+class AttackEffect(TypedDict):
+    """What an attack did."""
+
+    accepted_time_us: int
+    deviation_m: list[float] | None
+    excluded: list[list[int]]
+    id: int
+    isolated_after_s: float | None
+    rejected_after_s: float | None
+    rms_before_m: float | None
+
+
 class CalibratedParameter(TypedDict):
     """One fitted number."""
 
@@ -263,6 +275,13 @@ class FlownByHand(TypedDict):
     reason: str
     unix_us: int
     who: str
+
+
+class Followed(TypedDict):
+    """How an autopilot took over what it was asked for, rad/s or 0..1."""
+
+    asked_rms: float | None
+    off: list[float] | None
 
 
 class Imported(TypedDict):
@@ -794,6 +813,15 @@ class EnvelopeSet(TypedDict):
     velocity_mps: NotRequired[float | None]
 
 
+class EstimatorError(TypedDict):
+    """What an estimator was off by, from its first estimate on."""
+
+    altitude_error_mm: Samples
+    altitude_mm: list[float] | None
+    attitude_mrad: list[float] | None
+    estimator: int
+
+
 class Examined(TypedDict):
     """
     Poles and margins of one loop. Continuous poles are those of the design (no lag, no delay); the rest has the motors'
@@ -812,6 +840,16 @@ class Experiments(TypedDict):
 
     experiments: list[State]
     total: int
+
+
+class Figures(TypedDict):
+    """`GET /api/v1/flights/{id}/figures`."""
+
+    attacks: list[AttackEffect]
+    autopilot: list[Followed]
+    estimators: list[EstimatorError]
+    start_s: float
+    truth: bool
 
 
 class Flight(TypedDict):

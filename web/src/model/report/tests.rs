@@ -1,7 +1,8 @@
 use plumbline_proto::v1::{self, AttackPhase};
-use plumbline_rest::flight::Step;
+use plumbline_rest::flight::{EstimatorError, Samples, Step};
 
 use super::*;
+use crate::model::curves::Curve;
 
 fn span(live: &mut Live, sensor: i32, instance: u32, start_us: u64, end_us: u64) {
     let attack = v1::Attack { id: instance, sensor, instance, kind: 2, magnitude: 0.5, ..Default::default() };
@@ -12,35 +13,47 @@ fn span(live: &mut Live, sensor: i32, instance: u32, start_us: u64, end_us: u64)
     live.log.attacks.update(&v1::AttackState { attacks: vec![progress], ..Default::default() });
 }
 
-/// Ten seconds at 10 Hz: 10 mm high, 100 mm while sensor 2/2 is attacked, from 4 s to 6 s.
+/// Ten seconds at 10 Hz, sensor 2/2 attacked from 4 s to 6 s.
 fn flown() -> Live {
     let mut live = Live::recorded();
     for i in 0..=100_u64 {
-        let (t, attacked) = (i * 100_000, (40..60).contains(&i));
-        live.curves.push(Curve::SetpointAltitude, t, 1.0);
-        live.curves.push(Curve::TruthAltitude, t, if attacked { 1.1 } else { 1.01 });
-        for instance in 1..=3 {
-            // Flagged half a second late; a healthy one with it, for a moment.
-            let flagged = instance == 2 && (45..60).contains(&i) || instance == 3 && i == 50;
-            live.curves.push(Curve::Suspicion(2, instance), t, if flagged { 1.5 } else { 0.2 });
-        }
+        live.curves.push(Curve::SetpointAltitude, i * 100_000, 1.0);
+        live.curves.push(Curve::TruthAltitude, i * 100_000, 1.01);
+        live.curves.push(Curve::Suspicion(2, 2), i * 100_000, 0.2);
     }
     span(&mut live, 2, 2, 4_000_000, 6_000_000);
     live
 }
 
+/// What the ground found in it.
+fn found() -> Figures {
+    let effect = AttackEffect {
+        id: 2,
+        isolated_after_s: Some(0.5),
+        deviation_m: Some([0.1, 0.07]),
+        rms_before_m: Some(0.01),
+        excluded: vec![[2, 2], [2, 3]],
+        ..AttackEffect::default()
+    };
+    let of = |estimator, rms| EstimatorError { estimator, altitude_mm: Some([rms, 90.0]), ..EstimatorError::default() };
+    let estimators = vec![of(1, 80.0), of(4, 20.0)];
+    Figures { truth: true, estimators, attacks: vec![effect], ..Figures::default() }
+}
+
 #[test]
 fn an_attack_has_its_delay_its_damage_and_its_false_exclusions() {
-    let report =
-        Report::of(Flight { vehicle_id: "iris-1".into(), duration_s: 10.0, ..Flight::default() }, &flown(), Vec::new());
+    let flight = Flight { vehicle_id: "iris-1".into(), duration_s: 10.0, ..Flight::default() };
+    let report = Report::of(flight, &flown(), &found(), Vec::new());
     let [attack] = report.attacks.as_slice() else { panic!("{:?}", report.attacks) };
-    assert!((attack.isolated_after_s.unwrap() - 0.5).abs() < 1e-9);
-    assert_eq!(attack.rejected_after_s, None);
-    assert!((attack.largest_m.unwrap() - 0.1).abs() < 1e-6);
-    assert!((attack.rms_m[1].unwrap() - 0.01).abs() < 1e-6, "{:?}", attack.rms_m);
-    assert_eq!(attack.false_exclusions.len(), 1);
+    assert_eq!((attack.isolated_after_s, attack.rejected_after_s), (Some(0.5), None));
+    assert_eq!((attack.largest_m, attack.rms_m), (Some(0.1), [Some(0.07), Some(0.01)]));
+    assert_eq!(attack.false_exclusions.len(), 1, "of the attacked one none is false");
     assert!(report.sentence.contains("isolated after 0.50 s, altitude off by 100 mm at most."), "{}", report.sentence);
     assert!(report.sentence.contains("flew for 0:10 min") && report.sentence.ends_with("No failsafe acted."));
+    let other =
+        Figures { attacks: vec![AttackEffect { accepted_time_us: 1, ..found().attacks[0].clone() }], ..found() };
+    let report = Report::of(Flight::default(), &flown(), &other, Vec::new());
+    assert_eq!(report.attacks[0].largest_m, None, "that is of another schedule");
 }
 
 #[test]
@@ -59,48 +72,37 @@ fn a_single_step_has_no_sigma_and_interrupted_ones_settle_nowhere() {
 
 #[test]
 fn estimators_are_ranked_by_altitude_where_truth_is_known() {
-    let mut live = flown();
-    assert!(ranking(&live).is_empty(), "none has flown");
-    for number in [1_u16, 4] {
-        live.estimates.entry(number).or_default();
-        for i in 0..100_u64 {
-            live.curves.push(Curve::Altitude(number), i * 100_000, if number == 1 { 1.5 } else { 1.02 });
-        }
-    }
-    live.curves.follow_errors();
-    let ranked = ranking(&live);
+    let ranked = ranking(&found());
     assert_eq!(ranked.iter().map(|r| r.number).collect::<Vec<_>>(), [4, 1]);
-    assert!(ranked[0].altitude_mm.unwrap()[1] > 79.0, "{ranked:?}");
+    assert_eq!(ranked[0].altitude_mm, Some([20.0, 90.0]));
+    assert!(ranking(&Figures { truth: false, ..found() }).is_empty());
+}
+
+#[test]
+fn the_errors_of_a_report_are_drawn_at_their_time() {
+    let mut live = flown();
+    let altitude_error_mm = Samples { samples: 2, time_s: vec![0.0, 3.0], value: vec![5.0, -7.0] };
+    let of = EstimatorError { estimator: 4, altitude_error_mm, ..EstimatorError::default() };
+    live.curves.set_errors(&Figures { start_s: 2.0, estimators: vec![of], ..Figures::default() });
+    assert_eq!(live.curves.value_at(Curve::AltitudeError(4), 5.0), Some(-7.0));
+    assert!(figures(&live).iter().any(|figure| figure.title == "Altitude: estimate minus truth"));
 }
 
 #[test]
 fn an_autopilot_is_held_to_what_it_was_asked_for() {
-    assert!(autopilot(&flown()).is_empty(), "the motors were commanded");
+    let told = |asked: f64, off| plumbline_rest::flight::Followed { asked_rms: Some(asked), off };
+    let autopilot = vec![told(0.5, Some([0.1, 0.1])), told(0.0, None), told(0.0, None), told(0.4, None)];
     let mut live = flown();
-    let rates = |x| Some(v1::Vector3 { x, y: 0.0, z: 0.0 });
+    let rates = Some(v1::Vector3 { x: 0.5, y: 0.0, z: 0.0 });
     for i in 0..=100_u64 {
-        // It is told of late, and then 0.1 rad/s short of what was asked.
-        let autopilot = v1::AutopilotControl {
-            rates_asked_flu_radps: rates(0.5),
-            thrust_asked: Some(0.4),
-            rates_target_flu_radps: if i < 20 { None } else { rates(0.4) },
-            ..Default::default()
-        };
+        let autopilot = v1::AutopilotControl { rates_asked_flu_radps: rates, ..Default::default() };
         live.curves.push_control(&v1::Control {
             time_us: i * 100_000,
             autopilot: Some(autopilot),
             ..Default::default()
         });
     }
-    let report = Report::of(Flight::default(), &live, Vec::new());
-    let [roll, pitch, _, thrust] = report.autopilot.as_slice() else { panic!("{:?}", report.autopilot) };
-    let [largest, off] = roll.off.unwrap();
-    assert!(
-        (roll.asked_rms - 0.5).abs() < 1e-6 && (off - 0.1).abs() < 1e-6 && (largest - 0.1).abs() < 1e-6,
-        "{roll:?}"
-    );
-    assert_eq!(pitch.off, Some([0.0; 2]));
-    assert_eq!((thrust.demand, thrust.off), (Demand::Thrust, None), "it did not say");
+    let report = Report::of(Flight::default(), &live, &Figures { autopilot, ..found() }, Vec::new());
     let body = report.html(&live, 0);
     assert!(
         body.contains("<td>roll rate, rad/s</td><td class=\"num\">0.500</td><td class=\"num\">0.100</td>"),
@@ -114,7 +116,7 @@ fn the_document_needs_nothing_else_and_says_only_what_was_said() {
     let flight =
         Flight { name: "<script>alert(1)</script> & more".into(), notes: "a \"note\"".into(), ..Flight::default() };
     let live = flown();
-    let body = Report::of(flight, &live, vec![("page".into(), "1".into())]).html(&live, 0);
+    let body = Report::of(flight, &live, &found(), vec![("page".into(), "1".into())]).html(&live, 0);
     let text = document("a < b", &body);
     assert!(text.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !text.contains("<script"));
     for elsewhere in ["http:", "https:", "src=", "href=", "url("] {

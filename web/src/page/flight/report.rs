@@ -1,7 +1,7 @@
 //! The report of a flight: to read, to print, to keep as one file.
 
 use leptos::prelude::*;
-use plumbline_rest::flight::Flight;
+use plumbline_rest::flight::{Figures, Flight};
 
 use crate::{
     app::GroundState,
@@ -16,10 +16,7 @@ use crate::{
     panel::{toolbar::Link, waiting::Waiting},
 };
 
-use super::{NoFlight, load};
-
-/// Kinds that figures are made of.
-const KINDS: &str = "estimate,control,truth,residuals,status,attacks,event,step,description,secure,gains";
+use super::{NoFlight, detail};
 
 /// A report as it is kept.
 #[derive(Clone)]
@@ -31,12 +28,14 @@ struct Written {
     figures: Vec<(String, String)>,
 }
 
-/// Reads the recording and writes its report; `told` is told which share has been read.
+/// Reads what charts show of the recording and what the ground found in all of it, and writes its report; `told` is told which
+/// share has been read.
 async fn written(ctx: Ctx, id: &str, told: impl Fn(f64)) -> Result<Written, Failure> {
     let flight: Flight = net::json("GET", &format!("/api/v1/flights/{id}"), None, "").await?;
     let length_s = flight.duration_s.max(1e-3);
-    let mut live = load(id, KINDS, "", |covered_s| told(covered_s / length_s)).await?;
-    live.curves.follow_errors();
+    let mut live = detail::overview(id, length_s, |covered_s| told(covered_s / length_s)).await?;
+    let found: Figures = net::json("GET", &format!("/api/v1/flights/{id}/figures"), None, "").await?;
+    live.curves.set_errors(&found);
     let ground = ctx.app.with_value(|app| match &app.ground {
         GroundState::Up(ground) => ground.version.clone(),
         _ => String::new(),
@@ -47,7 +46,7 @@ async fn written(ctx: Ctx, id: &str, told: impl Fn(f64)) -> Result<Written, Fail
         ("agent".to_owned(), flight.agent_version.clone()),
     ];
     let title = flight.title().to_owned();
-    let report = Report::of(flight, &live, versions);
+    let report = Report::of(flight, &live, &found, versions);
     let offset_min = local_offset_min();
     Ok(Written {
         title,

@@ -1,14 +1,26 @@
 //! Play, speed, position and event marks of a recorded flight.
 
 use std::collections::HashMap;
+use std::fmt::Write as _;
 use std::time::Duration;
 
 use leptos::{ev, html, prelude::*};
 
-use crate::{ctx::every, deck::Deck, keys::Takes, net};
+use crate::{
+    ctx::every,
+    deck::Deck,
+    keys::Takes,
+    model::{curves::Curve, live::Live},
+    net,
+};
 
 /// Playback speeds.
 const SPEEDS: [f64; 6] = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0];
+
+/// Stretches of time that the altitude below it is drawn in.
+const STRETCHES: usize = 300;
+/// The least range of altitude that fills its height, m.
+const LEAST_M: f32 = 0.1;
 
 /// Events of one kind that are marked, at most.
 const MOST_MARKS: usize = 60;
@@ -86,6 +98,7 @@ pub(super) fn Scrub(
         let seen = live.log.attacks.between(begin, end).filter(|s| s.seen);
         seen.map(|s| (s.start_s.max(begin), s.end_s.min(end))).collect::<Vec<_>>()
     });
+    let curve = deck.data.with_value(|live| outline(live, begin, end));
     view! {
         <div class="card scrub" role="group" aria-label="Replay">
           <div class="scrub-side">
@@ -115,6 +128,7 @@ pub(super) fn Scrub(
                 }
                 on:pointermove=move |e| if e.buttons() == 1 { go_to(&e) }
             >
+                <svg class="scrub-curve" viewBox=format!("0 0 {STRETCHES} 1") preserveAspectRatio="none" aria-hidden="true"><path d=curve></path></svg>
                 {spans.into_iter().map(|(a, b)| view! {
                     <i class="scrub-attack" style=format!("left:{:.2}%;width:{:.2}%", percent(a), (percent(b) - percent(a)).max(0.3))></i>
                 }).collect::<Vec<_>>()}
@@ -130,6 +144,32 @@ pub(super) fn Scrub(
     }
 }
 
+/// The altitude over the whole flight, true where that is known: least and greatest of each stretch, 0 to 1 from the top; empty where
+/// there is none.
+fn outline(live: &Live, begin_s: f64, end_s: f64) -> String {
+    let known = live.curves.get(Curve::TruthAltitude).or_else(|| live.curves.get(Curve::Altitude(live.in_loop())));
+    let Some(altitude) = known else { return String::new() };
+    let whole = altitude.extent_between(begin_s, end_s);
+    let range_m = (whole.max - whole.min).max(LEAST_M);
+    let place = |value: f32| 1.0 - 0.96 * (value - whole.min) / range_m;
+    let step_s = (end_s - begin_s) / STRETCHES as f64;
+    let stretches = (0..STRETCHES).map(|n| {
+        let from_s = begin_s + n as f64 * step_s;
+        (n, altitude.extent_between(from_s, from_s + step_s))
+    });
+    stretches.filter(|(_, extent)| !extent.is_empty()).fold(String::new(), |mut path, (n, extent)| {
+        // Writing to a string does not fail.
+        let _ = write!(
+            path,
+            "{}{n} {:.3}V{:.3}",
+            if path.is_empty() { 'M' } else { 'L' },
+            place(extent.max),
+            place(extent.min)
+        );
+        path
+    })
+}
+
 /// `m:ss.t`
 fn tenths(seconds: f64) -> String {
     let tenth = (seconds.max(0.0) * 10.0).round() as u64;
@@ -138,6 +178,21 @@ fn tenths(seconds: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use super::*;
+
+    #[test]
+    fn the_altitude_lies_below_the_bar_with_its_peaks() {
+        let mut live = Live::recorded();
+        assert_eq!(outline(&live, 0.0, 10.0), "");
+        for i in 0..=1000_u64 {
+            live.curves.push(Curve::TruthAltitude, i * 10_000, if i == 505 { 2.0 } else { 1.0 });
+        }
+        let path = outline(&live, 0.0, 10.0);
+        assert!(path.starts_with("M0 1.000V1.000L1 ") && path.contains("V1.000"), "{path}");
+        assert_eq!(path.matches(" 0.040V").count(), 1, "one peak");
+        assert!(path.ends_with("L299 1.000V1.000"), "{path}");
+    }
+
     #[test]
     fn positions_have_tenths() {
         assert_eq!(super::tenths(62.34), "1:02.3");

@@ -218,6 +218,7 @@ pub fn Imports(importer: Importer) -> impl IntoView {
     view! {
         <Show when=move || any.get()>
             <section class="card imports" aria-label="Imports">
+                <h2 class="visually-hidden">"Imports"</h2>
                 <ul role="status">{move || importer.all.get().into_iter().map(told).collect::<Vec<_>>()}</ul>
                 <button type="button" disabled=move || importer.busy.get() on:click=move |_| importer.all.set(Vec::new())>"Clear"</button>
             </section>
