@@ -359,37 +359,45 @@ fn log(time_ns: u64, event: &v1::Event) -> Out {
     ("/rosout".into(), Type::Log, cdr.0)
 }
 
+/// Where a sample of a sensor goes as sensed, and as received unless it was withheld; each with what it read.
+fn both<T: Copy>(
+    (name, instance): (&str, u16),
+    reception: i32,
+    sensed: T,
+    received: Option<T>,
+) -> impl Iterator<Item = (String, T)> {
+    let dropped = reception == v1::Reception::Dropped as i32;
+    let received = (!dropped).then(|| received.unwrap_or(sensed));
+    [("sensed", Some(sensed)), ("received", received)]
+        .into_iter()
+        .filter_map(move |(which, reading)| Some((format!("/{name}_{instance}/{which}"), reading?)))
+}
+
 /// What one message becomes: samples as sensed, and as received where they were.
 fn convert(message: &Recorded<'_>, time_ns: u64) -> Vec<Out> {
     let Some((kind, instance)) = Kind::from_topic(&message.channel.topic) else { return Vec::new() };
     let data = message.payload;
-    let dropped = |reception: i32| reception == v1::Reception::Dropped as i32;
-    let both = |name: &str| ["sensed", "received"].map(|which| format!("/{name}_{instance}/{which}"));
     match kind {
         Kind::Imu => {
             let Ok(v1::ImuSample { reception, sensed: Some(sensed), received, .. }) = v1::ImuSample::decode(data)
             else {
                 return Vec::new();
             };
-            let (frame, [first, second]) = (format!("imu_{instance}"), both("imu"));
-            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
-            let mut out = vec![imu(first, time_ns, &frame, &sensed)];
-            out.extend(received.map(|reading| imu(second, time_ns, &frame, &reading)));
-            for (reading, topic) in [Some(sensed), received].into_iter().zip(both("mag")) {
-                let field = reading.and_then(|reading| reading.mag_ut);
-                out.extend(field.map(|mag_ut| magnetic_field(topic, time_ns, &frame, &mag_ut)));
-            }
-            out
+            let frame = format!("imu_{instance}");
+            let moved = both(("imu", instance), reception, sensed, received)
+                .map(|(topic, reading)| imu(topic, time_ns, &frame, &reading));
+            let fields = both(("mag", instance), reception, sensed, received)
+                .filter_map(|(topic, reading)| Some(magnetic_field(topic, time_ns, &frame, &reading.mag_ut?)));
+            moved.chain(fields).collect()
         }
         Kind::Height => {
             let Ok(v1::HeightSample { reception, sensed_m, received_m, .. }) = v1::HeightSample::decode(data) else {
                 return Vec::new();
             };
-            let (frame, [first, second]) = (format!("height_{instance}"), both("height"));
-            let received = (!dropped(reception)).then(|| received_m.unwrap_or(sensed_m));
-            let mut out = vec![range(first, time_ns, &frame, sensed_m)];
-            out.extend(received.map(|range_m| range(second, time_ns, &frame, range_m)));
-            out
+            let frame = format!("height_{instance}");
+            both(("height", instance), reception, sensed_m, received_m)
+                .map(|(topic, range_m)| range(topic, time_ns, &frame, range_m))
+                .collect()
         }
         Kind::MocapPose => {
             let Ok(v1::MocapPoseSample { reception, sensed: Some(sensed), received, .. }) =
@@ -397,11 +405,9 @@ fn convert(message: &Recorded<'_>, time_ns: u64) -> Vec<Out> {
             else {
                 return Vec::new();
             };
-            let [first, second] = both("mocap_pose");
-            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
-            let mut out = vec![captured(first, time_ns, &sensed)];
-            out.extend(received.map(|reading| captured(second, time_ns, &reading)));
-            out
+            both(("mocap_pose", instance), reception, sensed, received)
+                .map(|(topic, reading)| captured(topic, time_ns, &reading))
+                .collect()
         }
         Kind::Barometer => {
             let Ok(v1::BarometerSample { reception, sensed: Some(sensed), received, .. }) =
@@ -409,22 +415,20 @@ fn convert(message: &Recorded<'_>, time_ns: u64) -> Vec<Out> {
             else {
                 return Vec::new();
             };
-            let (frame, [first, second]) = (format!("barometer_{instance}"), both("barometer"));
-            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
-            let mut out = vec![pressure(first, time_ns, &frame, &sensed)];
-            out.extend(received.map(|reading| pressure(second, time_ns, &frame, &reading)));
-            out
+            let frame = format!("barometer_{instance}");
+            both(("barometer", instance), reception, sensed, received)
+                .map(|(topic, reading)| pressure(topic, time_ns, &frame, &reading))
+                .collect()
         }
         Kind::Gnss => {
             let Ok(v1::GnssSample { reception, sensed: Some(sensed), received, .. }) = v1::GnssSample::decode(data)
             else {
                 return Vec::new();
             };
-            let (frame, [first, second]) = (format!("gnss_{instance}"), both("gnss"));
-            let received = (!dropped(reception)).then(|| received.unwrap_or(sensed));
-            let mut out = vec![fix(first, time_ns, &frame, &sensed)];
-            out.extend(received.map(|reading| fix(second, time_ns, &frame, &reading)));
-            out
+            let frame = format!("gnss_{instance}");
+            both(("gnss", instance), reception, sensed, received)
+                .map(|(topic, reading)| fix(topic, time_ns, &frame, &reading))
+                .collect()
         }
         Kind::Scan => {
             let Ok(turned) = v1::Scan::decode(data) else { return Vec::new() };

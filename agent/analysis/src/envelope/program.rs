@@ -175,10 +175,12 @@ impl Program {
             self.statistics.iter().enumerate().filter(|(_, s)| summed(s) || loud(s)).collect();
         heard.sort_by(|a, b| a.1.time_s.total_cmp(&b.1.time_s));
         let n = self.objective.len();
-        let first = |j: &usize| heard.iter().position(|(_, s)| s.row[*j] != 0.0).unwrap_or(heard.len());
+        let first = |j: usize| (heard.iter().position(|(_, s)| s.row[j] != 0.0).unwrap_or(heard.len()), j);
+        let mut order: Vec<(usize, usize)> = (0..n).map(first).collect();
         // What nobody hears of and moves nothing is left at rest.
-        let mut order: Vec<usize> = (0..n).filter(|j| self.objective[*j] != 0.0 || first(j) < heard.len()).collect();
-        order.sort_by_cached_key(first);
+        order.retain(|(first, j)| *first < heard.len() || self.objective[*j] != 0.0);
+        order.sort_unstable();
+        let order: Vec<usize> = order.into_iter().map(|(_, j)| j).collect();
         let scaled = |i: usize, j: usize| heard.get(i).map_or(0.0, |(_, s)| s.row[order[j]] / s.limit);
         let m = DMatrix::from_fn(heard.len(), order.len(), scaled);
         let objective = self.objective.select_rows(&order);
