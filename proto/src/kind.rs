@@ -111,6 +111,20 @@ impl Kind {
         })
     }
 
+    /// Have a flight's tables columns of it?
+    pub const fn has_columns(self) -> bool {
+        self.is_sensor()
+            || matches!(
+                self,
+                Kind::Control | Kind::Estimate | Kind::Truth | Kind::Residuals | Kind::Secure | Kind::Status
+            )
+    }
+
+    /// How the names of a topic's columns and signals begin: `height_2` of `/sensor/height/2`.
+    pub fn column_prefix(topic: &str) -> String {
+        topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
+    }
+
     /// Made by the ground for the page; never recorded as part of a flight.
     pub const fn is_ground_made(self) -> bool {
         matches!(self, Kind::Link | Kind::Recording | Kind::Lease)
@@ -131,6 +145,8 @@ mod tests {
             assert_eq!(Kind::from_wire(kind.to_wire()), Some(*kind));
             assert!(seen.insert(topic));
         }
+        assert_eq!(Kind::column_prefix("/sensor/height/2"), "height_2");
+        assert_eq!(Kind::column_prefix("/control"), "control");
         assert_eq!(Kind::from_topic("/sensor/imu"), None);
         assert_eq!(Kind::from_topic("/sensor/imu/x"), None);
         assert_eq!(Kind::from_wire(9999), None);

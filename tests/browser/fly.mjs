@@ -136,8 +136,15 @@ await step(page, 'a value outside the limits is refused with the value', async (
   assert((await card.boundingBox()).height === before.height && (await page.locator('.notice.error').count()) === 0, 'it is said elsewhere');
   await page.getByLabel('Exact altitude in metres').fill('99');
   await until('the refusal to go', async () => !(await card.getByRole('alert').isVisible()));
-  await region('Setpoint').getByRole('button', { name: 'Set', exact: true }).click();
-  await page.getByText(/99/).first().waitFor();
+  const set = region('Setpoint').getByRole('button', { name: 'Set', exact: true });
+  await set.click();
+  // What the vehicle refuses is said where it was asked for, and stands among the notices.
+  const hint = page.locator('.hint').getByText(/99/);
+  await hint.waitFor();
+  const [said, asked] = [await hint.boundingBox(), await set.boundingBox()];
+  const apart = Math.hypot(said.x + said.width / 2 - asked.x - asked.width / 2, said.y - asked.y - asked.height);
+  assert(apart < 150, `${apart} px from the button`);
+  await page.locator('.notice.error').getByText(/99/).waitFor();
   assert(Math.abs((await setpoint()) - 0.8) < 1e-6, 'the setpoint moved');
 });
 
@@ -617,6 +624,25 @@ await step(page, 'the downloaded CSV has a header and a row per control tick at 
   const rate = (lines.length - 1) / flight.duration_s;
   assert(rate > 20 && rate <= 105, `${rate} rows a second`);
   return { rows: lines.length - 1, columns };
+});
+
+await step(page, 'a table keeps to the columns and the rate that are chosen', async () => {
+  const card = region('Tables');
+  await card.getByLabel('truth', { exact: true }).check();
+  await card.getByLabel('height_2', { exact: true }).check();
+  await card.getByLabel('Rows, at most').selectOption('10 Hz');
+  await page.getByText('2 columns, 10 Hz').waitFor();
+  const lines = readFileSync(await save('CSV'), 'utf8').trimEnd().split('\n');
+  const names = lines[0].split(',').filter((name) => !/^time/.test(name));
+  assert(names.length > 4 && names.every((name) => /^(truth|height_2)\./.test(name)), lines[0]);
+  const rate = (lines.length - 1) / flight.duration_s;
+  assert(rate > 5 && rate <= 10.5, `${rate} rows a second`);
+  await shot(page, 'flight-tables-light-1440x900');
+  for (const name of ['truth', 'height_2']) {
+    await card.getByLabel(name, { exact: true }).uncheck();
+  }
+  await card.getByLabel('Rows, at most').selectOption('100 Hz');
+  return { rows: lines.length - 1, columns: names.length };
 });
 
 await step(page, 'rename and annotate, kept after a reload', async () => {

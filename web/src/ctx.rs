@@ -15,7 +15,7 @@ use crate::{
     address,
     app::{App, MOST_HISTORY_S, Socket},
     deck::Deck,
-    event::{Effect, Event, Tone},
+    event::{Effect, Event, Failure, Tone},
     model::{api, by_hand::Led, draft::Draft, guide::Guide, layout::Layout, live::Live, route::Route, topic::Topic},
     net,
     panel::{
@@ -60,6 +60,8 @@ pub enum Graphics {
 pub struct Hint {
     pub number: u64,
     pub text: String,
+    /// Is it a notice, too, which screen readers hear?
+    pub noticed: bool,
     pub x: f64,
     pub y: f64,
 }
@@ -320,9 +322,18 @@ impl Ctx {
 
     /// Says `why` beside the pointer, for a while.
     pub fn refuse(self, why: String) {
+        self.say_at(crate::keys::pointer(), why, false);
+    }
+
+    /// Says as a notice, and at `asked_at`, where it was asked for, why nothing came of `what`.
+    pub fn failed(self, asked_at: (f64, f64), what: &str, failure: &Failure) {
+        self.say_at(asked_at, failure.text.clone(), true);
+        self.tell(Tone::Error, format!("{what}: {}", failure.text));
+    }
+
+    fn say_at(self, (x, y): (f64, f64), text: String, noticed: bool) {
         let number = self.hint.with_untracked(|hint| hint.as_ref().map_or(0, |hint| hint.number + 1));
-        let (x, y) = crate::keys::pointer();
-        self.hint.set(Some(Hint { number, text: why, x, y }));
+        self.hint.set(Some(Hint { number, text, noticed, x, y }));
         let done = move || {
             if self.hint.with_untracked(|hint| hint.as_ref().is_some_and(|hint| hint.number == number)) {
                 self.hint.set(None);
@@ -331,7 +342,7 @@ impl Ctx {
         set_timeout(done, HINT);
     }
 
-    /// Sends a command to the vehicle shown. The answer becomes a notice named `what`.
+    /// Sends a command to the vehicle shown. The answer becomes a notice named `what`; a refusal is also said where it was asked.
     pub fn command(self, what: impl Into<String>, method: &'static str, action: &str, body: Value) {
         self.command_then(what, method, action, body, |_| {});
     }
@@ -361,8 +372,12 @@ impl Ctx {
         let url = format!("/api/v1/vehicles/{id}/{action}");
         let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
         let within_ms = (!api::counts_late(method, action, &body)).then_some(net::COMMAND_MS);
+        let asked_at = crate::keys::pointer();
         leptos::task::spawn_local(async move {
             let answer = net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await;
+            if let Err(failure) = &answer {
+                self.say_at(asked_at, failure.text.clone(), true);
+            }
             then(answer.as_ref().map(|_| ()).map_err(|failure| failure.text.as_str()));
             self.dispatch(Event::Answered(what, answer));
         });

@@ -12,7 +12,7 @@ use plumbline_rest::flight::Signal;
 use super::export::{damaged, open};
 use super::flatten::{Cell, Table, Type};
 use super::reader::FlightReader;
-use super::sheet::{Head, prefix};
+use super::sheet::Head;
 use super::{RecordingError, Selection, Snapshot};
 
 /// What a topic holds is seen in so long from its first message, µs.
@@ -168,7 +168,10 @@ impl SignalReader {
         let mut topics: Vec<Topic> = plotted
             .filter_map(|channel| {
                 let topic = channel.topic.clone();
-                Some(Topic::new(topic, wanted(&prefix(&channel.topic)).then(|| Table::of(channel)).flatten()?))
+                Some(Topic::new(
+                    topic,
+                    wanted(&Kind::column_prefix(&channel.topic)).then(|| Table::of(channel)).flatten()?,
+                ))
             })
             .collect();
         let names: Vec<String> = topics.iter().map(|topic| topic.topic.clone()).collect();
@@ -208,7 +211,7 @@ fn signals_of(topics: &[Topic]) -> Vec<Signal> {
 
 impl Topic {
     fn new(topic: String, table: Table) -> Self {
-        Self { prefix: prefix(&topic), topic, table, begun_us: None, rows: BTreeSet::new() }
+        Self { prefix: Kind::column_prefix(&topic), topic, table, begun_us: None, rows: BTreeSet::new() }
     }
 
     fn look(&mut self, time_us: u64, payload: &[u8]) {

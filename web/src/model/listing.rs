@@ -15,20 +15,53 @@ pub const FORMS: [(&str, &str); 6] = [
 /// The form that a flight is recorded in: it is downloaded whole.
 const OWN: &str = "mcap";
 
-/// Where a flight is downloaded, or the stretch of it that is meant, s since its start.
-pub fn download(id: &str, form: &str, stretch_s: Option<[f64; 2]>) -> String {
-    let whole = format!("/api/v1/flights/{id}/{form}");
-    match stretch_s {
-        Some([from_s, to_s]) if form != OWN => format!("{whole}?from_s={from_s:.3}&to_s={to_s:.3}"),
-        _ => whole,
+/// What are tables: they have columns, and rows at a rate.
+const TABLES: [&str; 3] = ["csv", "parquet", "mat"];
+
+/// What of a flight is downloaded: all of it where nothing is said.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Part {
+    /// Since the flight's start, s.
+    pub stretch_s: Option<[f64; 2]>,
+    /// Of a table: by name, or by the beginning of it.
+    pub columns: Vec<String>,
+    /// Of a table: most rows a second, 0 for all.
+    pub rate_hz: Option<u32>,
+}
+
+impl Part {
+    /// In words; empty where it is all.
+    pub fn name(&self) -> String {
+        let stretch = self.stretch_s.map(|[from_s, to_s]| format!("{from_s:.1} to {to_s:.1} s"));
+        let columns = match self.columns.as_slice() {
+            [] => None,
+            [one] => Some(one.clone()),
+            several => Some(format!("{} columns", several.len())),
+        };
+        let rate = self.rate_hz.map(|hz| if hz == 0 { "every tick".to_owned() } else { format!("{hz} Hz") });
+        [stretch, columns, rate].into_iter().flatten().collect::<Vec<_>>().join(", ")
     }
+}
+
+/// Where a flight is downloaded, or what is meant of it, as far as the form has it.
+pub fn download(id: &str, form: &str, part: &Part) -> String {
+    let mut asked = Vec::new();
+    if let Some([from_s, to_s]) = part.stretch_s.filter(|_| form != OWN) {
+        asked.push(format!("from_s={from_s:.3}&to_s={to_s:.3}"));
+    }
+    if TABLES.contains(&form) {
+        asked.extend((!part.columns.is_empty()).then(|| format!("columns={}", part.columns.join(","))));
+        asked.extend(part.rate_hz.map(|hz| format!("rate_hz={hz}")));
+    }
+    let question = if asked.is_empty() { "" } else { "?" };
+    format!("/api/v1/flights/{id}/{form}{question}{}", asked.join("&"))
 }
 
 /// Where flights are downloaded: one as it is, several as one tar.
 pub fn download_all(ids: &[String], form: &str) -> Option<String> {
     match ids {
         [] => None,
-        [id] => Some(download(id, form, None)),
+        [id] => Some(download(id, form, &Part::default())),
         several => Some(format!("/api/v1/archive?ids={}&format={form}", several.join(","))),
     }
 }
@@ -165,9 +198,15 @@ mod tests {
 
     #[test]
     fn a_stretch_is_of_exports_and_several_flights_are_a_tar() {
-        let stretch = Some([1.0, 2.5]);
-        assert_eq!(download("f1", "csv", stretch), "/api/v1/flights/f1/csv?from_s=1.000&to_s=2.500");
-        assert_eq!(download("f1", "mcap", stretch), "/api/v1/flights/f1/mcap");
+        let mut part = Part { stretch_s: Some([1.0, 2.5]), ..Part::default() };
+        assert_eq!(download("f1", "csv", &part), "/api/v1/flights/f1/csv?from_s=1.000&to_s=2.500");
+        assert_eq!(download("f1", "mcap", &part), "/api/v1/flights/f1/mcap");
+        (part.columns, part.rate_hz) = (vec!["truth".into(), "height_2".into()], Some(0));
+        assert_eq!(part.name(), "1.0 to 2.5 s, 2 columns, every tick");
+        let tables = "from_s=1.000&to_s=2.500&columns=truth,height_2&rate_hz=0";
+        assert_eq!(download("f1", "mat", &part), format!("/api/v1/flights/f1/mat?{tables}"));
+        assert_eq!(download("f1", "ros2", &part), "/api/v1/flights/f1/ros2?from_s=1.000&to_s=2.500");
+        assert_eq!(Part::default().name(), "");
         let all = |ids: &[&str]| download_all(&ids.iter().map(|id| (*id).to_owned()).collect::<Vec<_>>(), "mat");
         assert_eq!(all(&[]), None);
         assert_eq!(all(&["f1"]).as_deref(), Some("/api/v1/flights/f1/mat"));

@@ -6,6 +6,7 @@ mod facts;
 mod reestimate;
 mod report;
 mod scrub;
+mod table;
 
 use leptos::prelude::*;
 use plumbline_proto::DecodeError;
@@ -17,10 +18,11 @@ use crate::{
     ctx::{Ctx, Graphics, ctx},
     deck::Deck,
     event::{Failure, Tone},
+    keys,
     model::{
         arriving::Arriving,
         format::{self, NONE},
-        listing,
+        listing::{self, Part},
         live::Live,
         route::Route,
     },
@@ -142,6 +144,7 @@ fn Shown(
     share: RwSignal<Option<f64>>,
 ) -> impl IntoView {
     let ctx = ctx();
+    provide_context(RwSignal::new(Part::default()));
     view! {
         <main class="flight-page" id="main">
             <Head id=id.clone() summary />
@@ -174,13 +177,14 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
     let rename =
         move |_| save(ctx, url.get_value(), json!(Labels { name: Some(name.get_untracked()), notes: None }), summary);
     let delete = Callback::new(move |()| {
+        let asked_at = keys::pointer();
         leptos::task::spawn_local(async move {
             match net::json::<serde_json::Value>("DELETE", &url.get_value(), None, &ctx.operator()).await {
                 Ok(_) => {
                     ctx.tell(Tone::Done, "Flight deleted");
                     ctx.go(Route::Flights);
                 }
-                Err(failure) => ctx.tell(Tone::Error, format!("Delete refused: {}", failure.text)),
+                Err(failure) => ctx.failed(asked_at, "Delete refused", &failure),
             }
         });
     });
@@ -204,6 +208,9 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
         deck.zoom.get().map(|(from_s, to_s)| [(from_s - begin_s).max(0.0), to_s - begin_s])
     });
     let flight = StoredValue::new(id.clone());
+    let tables: RwSignal<Part> = expect_context();
+    let part = Memo::new(move |_| Part { stretch_s: stretch.get(), ..tables.get() });
+    let meant = move || Some(part.with(Part::name)).filter(|name| !name.is_empty());
     view! {
         <h1 class="visually-hidden">{move || format!("Flight {}", name.get())}</h1>
         <div class="sheet-head">
@@ -219,13 +226,13 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
             <span class="quiet num one-line">{facts}</span>
             <span class="push downloads">
                 <Link to=Route::Report(id.clone())>"Report"</Link>
-                {move || stretch.get().map(|[from_s, to_s]| view! {
-                    <span class="quiet num one-line" title="Downloads keep to what is zoomed into; MCAP is the file as recorded">
-                        {format!("{from_s:.1} to {to_s:.1} s:")}
+                {move || meant().map(|name| view! {
+                    <span class="quiet num one-line" title="Downloads keep to what is zoomed into, tables also to columns and rate of the card Tables; MCAP is the file as recorded">
+                        {name} ":"
                     </span>
                 })}
                 {listing::FORMS.map(|(form, name)| view! {
-                    <a class="button" href=move || flight.with_value(|id| listing::download(id, form, stretch.get())) download="">{name}</a>
+                    <a class="button" href=move || flight.with_value(|id| part.with(|part| listing::download(id, form, part))) download="">{name}</a>
                 })}
             </span>
             <span class="delete"><Guarded takes=Role::Admin><HoldButton label="Delete" class="warn" action=delete /></Guarded></span>
@@ -235,6 +242,7 @@ fn Head(id: String, summary: RwSignal<Option<Result<Flight, Failure>>>) -> impl 
 
 /// Writes name or notes.
 fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option<Result<Flight, Failure>>>) {
+    let asked_at = keys::pointer();
     leptos::task::spawn_local(async move {
         match net::json::<Flight>("PATCH", &url, Some(body.to_string()), &ctx.operator()).await {
             Ok(flight) => {
@@ -242,7 +250,7 @@ fn save(ctx: Ctx, url: String, body: serde_json::Value, summary: RwSignal<Option
                 summary.try_update_untracked(|known| *known = Some(Ok(flight)));
                 ctx.tell(Tone::Done, "Saved");
             }
-            Err(failure) => ctx.tell(Tone::Error, format!("Not saved: {}", failure.text)),
+            Err(failure) => ctx.failed(asked_at, "Not saved", &failure),
         }
     });
 }

@@ -12,7 +12,6 @@ use serde_json::json;
 
 use crate::{
     ctx::{Ctx, ctx},
-    event::Tone,
     model::live::Live,
     model::tuning::{self, Draft},
     net,
@@ -156,22 +155,15 @@ impl Bench {
 
     /// Sends a request about the gains of this vehicle; afterwards the book is read again.
     fn send(self, what: String, method: &'static str, action: &'static str, body: serde_json::Value) {
-        let Some(id) = self.vehicle_path() else {
-            self.ctx.tell(Tone::Error, format!("{what}: no vehicle is connected"));
-            return;
-        };
-        let (operator, seen_us) = (self.ctx.operator(), self.ctx.seen_us());
-        leptos::task::spawn_local(async move {
-            let url = format!("/api/v1/vehicles/{id}/{action}");
-            let within_ms = Some(net::COMMAND_MS);
-            let answer = net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await;
+        self.ctx.command_then(what, method, action, body, move |answer| {
             let done = answer.is_ok();
-            self.ctx.dispatch(crate::event::Event::Answered(what, answer));
-            self.reload_book().await;
-            if done {
-                // The change against what is in use is another now.
-                self.ask();
-            }
+            leptos::task::spawn_local(async move {
+                self.reload_book().await;
+                if done {
+                    // The change against what is in use is another now.
+                    self.ask();
+                }
+            });
         });
     }
 }

@@ -231,7 +231,8 @@ pub fn HintBubble() -> impl IntoView {
         ctx.hint.get().map(|hint| {
             let place =
                 format!("left:clamp(8.5rem,{:.0}px,100vw - 8.5rem);top:min({:.0}px,100dvh - 5rem)", hint.x, hint.y);
-            view! { <p class="hint" role="alert" style=place>{hint.text}</p> }
+            let role = (!hint.noticed).then_some("alert");
+            view! { <p class="hint" role=role aria-hidden=hint.noticed.then_some("true") style=place>{hint.text}</p> }
         })
     }
 }

@@ -4,7 +4,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, TableButton},
+    legend::{Entry, Legend, TableButton, shown},
     plot::Plot,
     residuals::EvidenceSwitch,
 };
@@ -68,12 +68,7 @@ pub fn Errors() -> impl IntoView {
             <div class="chart-body">
                 <div class="chart-side">
                     <h3>
-                        <select class="small" aria-label="Axis of the attitude errors" on:change:target=move |e| {
-                            let chosen = Axis::ALL.into_iter().find(|a| a.name() == e.target().value());
-                            axis.set(chosen.unwrap_or(Axis::Roll));
-                        }>
-                            {Axis::ALL.map(|a| view! { <option selected=move || axis.get() == a>{a.name()}</option> }).collect_view()}
-                        </select>
+                        {shown("Axis of the attitude errors", Axis::ALL, Axis::name, axis)}
                         <small>{rms}" mrad"</small><TableButton entries=attitude name="Attitude error" unit="mrad" picture=Picture::AttitudeError />
                     </h3>
                     <Legend entries=attitude name="Attitude error" unit="mrad" decimals=1 errors=true />

@@ -281,3 +281,25 @@ fn save(deck: Deck, name: &str, unit: &str, entries: &[Entry]) {
     });
     net::save(&format!("{}.csv", name.to_lowercase().replace(' ', "-")), "text/csv", &text);
 }
+
+/// The list of what one chart shows one of: of `all`, by `name`, `chosen`.
+pub fn shown<T, const N: usize>(
+    label: &'static str,
+    all: [T; N],
+    name: fn(T) -> &'static str,
+    chosen: RwSignal<T>,
+) -> impl IntoView
+where
+    T: Copy + PartialEq + Send + Sync + 'static,
+{
+    let choose = move |text: String| {
+        if let Some(one) = all.into_iter().find(|one| name(*one) == text) {
+            chosen.set(one);
+        }
+    };
+    view! {
+        <select class="small" aria-label=label on:change:target=move |e| choose(e.target().value())>
+            {all.map(|one| view! { <option selected=move || chosen.get() == one>{name(one)}</option> }).into_iter().collect_view()}
+        </select>
+    }
+}

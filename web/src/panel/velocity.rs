@@ -3,7 +3,7 @@
 use leptos::prelude::*;
 
 use super::{
-    legend::{Entry, Legend, TableButton},
+    legend::{Entry, Legend, TableButton, shown},
     plot::Plot,
 };
 use crate::{
@@ -39,12 +39,7 @@ pub fn VelocityCard() -> impl IntoView {
                 <div class="chart-body folded">
                     <div class="chart-side">
                         <h3>
-                            <select class="small" aria-label="Direction of the velocity" on:change:target=move |e| {
-                                let chosen = Way::ALL.into_iter().find(|way| way.name() == e.target().value());
-                                way.set(chosen.unwrap_or(Way::Up));
-                            }>
-                                {Way::ALL.map(|w| view! { <option selected=move || way.get() == w>{w.name()}</option> }).collect_view()}
-                            </select>
+                            {shown("Direction of the velocity", Way::ALL, Way::name, way)}
                             <small>"m/s"</small><TableButton entries name="Velocity" unit="m/s" picture=Picture::Velocity />
                         </h3>
                         <Legend entries name="Velocity" unit="m/s" decimals=2 />

@@ -229,11 +229,6 @@ pub(super) struct Wide {
     range_us: (u64, u64),
 }
 
-/// `/sensor/height/2` → `height_2`.
-pub(super) fn prefix(topic: &str) -> String {
-    topic.trim_start_matches('/').trim_start_matches("sensor/").replace('/', "_")
-}
-
 impl Wide {
     /// Looks for the columns asked for.
     ///
@@ -246,19 +241,13 @@ impl Wide {
             return Err(RecordingError::Invalid(format!("rate_hz {rate_hz} is outside 0 (every tick) to 10000")));
         }
         let control = Kind::Control.base_topic();
-        let sampled = |topic: &str| {
-            Kind::from_topic(topic).is_some_and(|(kind, _)| {
-                kind.is_sensor()
-                    || matches!(kind, Kind::Control | Kind::Estimate | Kind::Truth)
-                    || Part::by_sensor(kind)
-            })
-        };
+        let sampled = |topic: &str| Kind::from_topic(topic).is_some_and(|(kind, _)| kind.has_columns());
         let channels = reader.channels();
         if !channels.contains_key(control) {
             return Err(RecordingError::NoTopic(control.to_owned()));
         }
         let part = |channel: &mcap::Channel<'static>| {
-            let (topic, prefix) = (channel.topic.clone(), prefix(&channel.topic));
+            let (topic, prefix) = (channel.topic.clone(), Kind::column_prefix(&channel.topic));
             let by_sensor = Kind::from_topic(&topic).is_some_and(|(kind, _)| Part::by_sensor(kind));
             let (table, latest) = if by_sensor {
                 (Table::by_sensor(channel)?, Latest::Cells(Vec::new(), Vec::new()))

@@ -9,7 +9,6 @@ use plumbline_rest::flight::Signal;
 use super::{Reading, Rotors, Topic, is_plotted, signals_of};
 use crate::recorder::RecordingError;
 use crate::recorder::flatten::Table;
-use crate::recorder::sheet::prefix;
 
 /// Every number in `frames`, named and ordered as those of a recorded flight.
 pub(crate) fn list<'a>(frames: impl Iterator<Item = Frame<'a>>) -> Vec<Signal> {
@@ -74,7 +73,7 @@ fn topic_of(frame: &Frame<'_>) -> Option<Topic> {
 /// Is a signal of this name one of the frame's topic?
 fn is_of(name: &str, frame: &Frame<'_>) -> bool {
     frame.known_kind().is_some_and(|kind| {
-        let rest = name.strip_prefix(&prefix(&kind.topic(frame.instance)));
+        let rest = name.strip_prefix(&Kind::column_prefix(&kind.topic(frame.instance)));
         rest.is_some_and(|rest| rest.starts_with(['.', '[']))
     })
 }

@@ -4,12 +4,7 @@ use leptos::prelude::*;
 use plumbline_rest::experiment::State;
 
 use super::{ROOT, progress};
-use crate::{
-    ctx::ctx,
-    event::{Event, Tone},
-    net,
-    panel::by_hand,
-};
+use crate::{ctx::ctx, keys, net, panel::by_hand};
 
 /// Name, progress, what can be done with it.
 #[component]
@@ -25,9 +20,10 @@ pub fn Head(
     let address = StoredValue::new(at.clone());
     let turn = move |what: &'static str| {
         let address = format!("{}/{what}", address.get_value());
+        let asked_at = keys::pointer();
         leptos::task::spawn_local(async move {
             if let Err(failure) = net::json::<State>("POST", &address, None, "").await {
-                ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text)));
+                ctx.failed(asked_at, "Experiment", &failure);
             }
         });
     };

@@ -11,7 +11,8 @@ use super::ROOT;
 use super::study::StudyForm;
 use crate::{
     ctx::ctx,
-    event::{Event, Failure, Tone},
+    event::Failure,
+    keys,
     model::{experiment::templates, format},
     net,
     panel::alarms::Guarded,
@@ -68,10 +69,11 @@ pub fn PlanCard(begun: impl Fn(String) + Copy + Send + 'static) -> impl IntoView
     });
     let start = move |_| {
         let plan = text.get_untracked();
+        let asked_at = keys::pointer();
         leptos::task::spawn_local(async move {
             match net::json::<State>("POST", ROOT, body(plan), "").await {
                 Ok(state) => begun(state.id),
-                Err(failure) => ctx.dispatch(Event::Tell(Tone::Error, format!("Experiment: {}", failure.text))),
+                Err(failure) => ctx.failed(asked_at, "Experiment", &failure),
             }
         });
     };

@@ -4,7 +4,7 @@ use leptos::prelude::*;
 use plumbline_rest::flight::{Flight, FlownAttack, Labels, Step};
 use serde_json::json;
 
-use super::{again::FlyAgain, reestimate::Reestimate, save};
+use super::{again::FlyAgain, reestimate::Reestimate, save, table::TableCard};
 use crate::{
     ctx::ctx,
     deck::deck,
@@ -78,6 +78,7 @@ fn Facts(flight: Flight, summary: RwSignal<Option<Result<Flight, Failure>>>) -> 
                 </tbody></table>
             </details>
         </section>
+        <TableCard topics=flight.counts.keys().cloned().collect() />
         <Reestimate id=flight.id.clone() topics=flight.counts.keys().cloned().collect() />
         <FlyAgain flight=flight.clone() />
         <section class="card facts notes" aria-label="Notes">
