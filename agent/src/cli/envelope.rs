@@ -8,7 +8,7 @@ use plumbline_agent::envelope::sets::Asked;
 use plumbline_agent::offline::ArgumentError;
 use plumbline_agent::sensor::suite::{PRESETS, Suite};
 use plumbline_rest::design::Design;
-use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet, Heave};
+use plumbline_rest::envelope::{EnvelopeQuestion, EnvelopeSet, Swing};
 
 use super::{Failure, in_file, read};
 
@@ -38,7 +38,7 @@ pub struct EnvelopeArguments {
     /// z (the altitude), or x or y: tilt, velocity and, with GNSS or motion capture, position along it.
     #[arg(long)]
     axis: Option<String>,
-    /// One sensor more of this kind: height or imu, with --axis x or y also gnss or pose.
+    /// One sensor more of this kind: height, imu, gnss or pose.
     #[arg(long)]
     more: Option<String>,
     /// How long the attack lasts, s: 10, or 5 along x or y.
@@ -50,9 +50,9 @@ pub struct EnvelopeArguments {
     /// What they take all of them to be off by alike as they are shaken, m/s²; along z.
     #[arg(long)]
     rectified_mps2: Option<f64>,
-    /// Along a heave in the place of a hover: amplitude, m, and period, s: "0.4,4".
-    #[arg(long, value_delimiter = ',', num_args = 2)]
-    heave: Option<Vec<f64>>,
+    /// Along a swing along the axis in the place of a hover: amplitude, m, and period, s: "0.3,4".
+    #[arg(long, value_name = "M,S", value_parser = swing)]
+    swing: Option<Swing>,
     /// Bounds the climb as well.
     #[arg(long)]
     climb: bool,
@@ -62,6 +62,15 @@ pub struct EnvelopeArguments {
     /// In the JSON line also the maximising sequence, and the multipliers that prove the bound; of one set, --sensors.
     #[arg(long, requires = "json")]
     proof: bool,
+}
+
+/// Amplitude, m, and period, s, of "0.3,4".
+fn swing(text: &str) -> Result<Swing, String> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[amplitude_m, period_s]) => Ok(Swing { amplitude_m, period_s }),
+        _ => Err(format!("{text:?} is no amplitude, m, and period, s, as in 0.3,4")),
+    }
 }
 
 impl EnvelopeArguments {
@@ -84,10 +93,7 @@ impl EnvelopeArguments {
             horizon_s: self.horizon_s,
             noise_mps2: self.noise_mps2,
             rectified_mps2: self.rectified_mps2,
-            heave: self.heave.as_deref().and_then(|heave| match heave {
-                [amplitude_m, period_s] => Some(Heave { amplitude_m: *amplitude_m, period_s: *period_s }),
-                _ => None,
-            }),
+            swing: self.swing,
             climb: self.climb,
             proof: self.proof,
         };

@@ -29,7 +29,7 @@ pub struct EnvelopeQuestion {
     /// `z`, the altitude, where it is left out; `x` or `y`: tilt, velocity and position along a horizontal axis.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axis: Option<String>,
-    /// One sensor more of this kind, `height` or `imu`, with a horizontal axis also `gnss` or `pose`: what would it buy?
+    /// One sensor more of this kind, `height`, `imu`, `gnss` or `pose`: what would it buy?
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub more: Option<String>,
     /// How long the attack lasts, s; 10 where it is left out, 5 along a horizontal axis.
@@ -44,9 +44,9 @@ pub struct EnvelopeQuestion {
     /// the altitude further. Along z only; none where it is left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rectified_mps2: Option<f64>,
-    /// Along a heave in the place of a hover: the altitude only, from where a swing begins. Not asked over HTTP.
+    /// Along a swing along the axis in the place of a hover, from where one begins. Not asked over HTTP.
     #[serde(skip)]
-    pub heave: Option<Heave>,
+    pub swing: Option<Swing>,
     /// The climb as well, along z.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub climb: bool,
@@ -55,9 +55,9 @@ pub struct EnvelopeQuestion {
     pub proof: bool,
 }
 
-/// Up and down about 1 m.
+/// To and fro along the axis asked about, about 1 m over the ground.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Heave {
+pub struct Swing {
     /// m.
     pub amplitude_m: f64,
     /// Of one swing, s.

@@ -2,8 +2,9 @@
 //!
 //! The maximising sequence of every set of one or two sensors of the default suite, and drawn attacks on them. The deviation is that
 //! of the true altitude from the same flight without the attack, until somebody is excluded. `--flights N` draws so many attacks in
-//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `lateral`, `commanded`, `heave`, `watermark` or one world, `--quick` a twentieth.
+//! each world, `--seed-base N` begins elsewhere, `--only NAME` flies `worst`, `detect`, `lateral`, `commanded`, `heave`, `posed`, `sideways`, `watermark` or one world, `--quick` a twentieth.
 
+mod aside;
 mod commanded;
 mod detection;
 mod lateral;
@@ -12,8 +13,11 @@ use std::collections::HashMap;
 
 use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_experiment::draw::{parallel, percentile, worst};
+use plumbline_rest::envelope::EnvelopeQuestion;
 use plumbline_support::effort::Effort;
-use plumbline_support::envelope::{Bounds, Flown, HORIZON_S, LINEAR, Worn, fly, fly_heaving, largest};
+use plumbline_support::envelope::{
+    Bounds, Flown, HORIZON_S, LINEAR, Worn, asked_with, fly, fly_heaving, fly_held, largest,
+};
 use plumbline_tests::report::{Report, ReportError};
 use serde_json::json;
 
@@ -54,7 +58,17 @@ pub fn run() -> Result<(), ReportError> {
         detection::of_replays(&mut report, &effort)?;
     }
     if effort.wants("heave") {
-        heaving(&mut report, &effort)?;
+        let title = format!("A heave of {} m within {} s", HEAVE.0, HEAVE.1);
+        let fly = |worn: &Worn| fly_heaving("ideal", effort.seed_base, worn, HEAVE);
+        otherwise(&mut report, &effort, ("heave", &title), |shaken| Bounds::along(shaken, Some(HEAVE), None), fly)?;
+    }
+    if effort.wants("posed") {
+        let posed = |shaken| Bounds::asked(&EnvelopeQuestion { more: Some("pose".to_owned()), ..asked_with(shaken) });
+        let fly = |worn: &Worn| fly_held("ideal", effort.seed_base, worn, HORIZON_S);
+        otherwise(&mut report, &effort, ("posed", "The altitude under motion capture"), posed, fly)?;
+    }
+    if effort.wants("sideways") {
+        aside::of_sideways(&mut report, &effort)?;
     }
     for world in WORLDS.into_iter().filter(|world| effort.wants(world)) {
         drawn(&mut report, world, &effort)?;
@@ -111,13 +125,19 @@ fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.table("worst", "Maximising sequences", &headers, &rows)
 }
 
-/// Drawn attacks along a heave in the ideal world, and the worst sequences of single sensors and of a height with an IMU.
-fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
-    let (amplitude_m, period_s) = HEAVE;
-    report.heading(&format!("A heave of {amplitude_m} m within {period_s} s: the ideal world"));
-    let clean = fly_heaving("ideal", effort.seed_base, &Worn::default(), HEAVE);
-    let (bounds, hover) = (Bounds::along(clean.shaken, Some(HEAVE), None), Bounds::new(clean.shaken));
-    let flown = furthest(&bounds, &clean, |worn| fly_heaving("ideal", effort.seed_base, worn, HEAVE));
+/// Drawn attacks along z in the ideal world otherwise than about a hover with heights alone, and the worst sequences of each set: with these
+/// `bounds`, flown by `fly`.
+fn otherwise(
+    report: &mut Report,
+    effort: &Effort,
+    (name, title): (&str, &str),
+    bounds: impl FnOnce(Shaken) -> Bounds,
+    fly: impl Fn(&Worn) -> Flown + Sync,
+) -> Result<(), ReportError> {
+    report.heading(&format!("{title}: the ideal world"));
+    let clean = fly(&Worn::default());
+    let (bounds, hover) = (bounds(clean.shaken), Bounds::new(clean.shaken));
+    let flown = furthest(&bounds, &clean, &fly);
     let mut rows = Vec::new();
     for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
         let about = hover.sets.iter().find(|of| of.sensors == set.sensors).map_or(f64::NAN, |of| of.bound_m);
@@ -125,7 +145,7 @@ fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         let seen = flight.seen.is_some();
         let more =
             json!({ "bound_m": set.bound_m, "hover_m": about, "linear_m": set.reached_m, "part": part, "seen": seen });
-        report.value(&format!("heave/worst/{}", set.name()), reached, "of the bound", more);
+        report.value(&format!("{name}/worst/{}", set.name()), reached, "of the bound", more);
         let cm = |m: f64| format!("{:.3}", 100.0 * m);
         rows.push(vec![
             set.name(),
@@ -137,20 +157,24 @@ fn heaving(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
         ]);
     }
     let headers = ["attacked", "bound, cm", "about hover, cm", "scaled by", "flown, of the bound", "seen"];
-    report.table("heave", "Maximising sequences along a heave", &headers, &rows)?;
+    report.table(name, &format!("Maximising sequences: {title}"), &headers, &rows)?;
     let parts = parallel(effort.flights as usize, |i| {
         let set = &bounds.sets[i % bounds.sets.len()];
-        let (_, attack) = bounds.drawn(set, effort.seed_base + i as u64);
-        let flight = fly_heaving("ideal", effort.seed_base, &attack, HEAVE);
-        (flight.unseen_m(&clean) / set.bound_m, flight.seen.is_some())
+        let (shape, attack) = bounds.drawn(set, effort.seed_base + i as u64);
+        let flight = fly(&attack);
+        (shape, flight.unseen_m(&clean) / set.bound_m, flight.seen.is_some())
     });
-    let reached: Vec<f64> = parts.iter().map(|(part, _)| *part).collect();
+    let reached: Vec<f64> = parts.iter().map(|(_, part, _)| *part).collect();
+    for (i, (shape, part, _)) in parts.iter().enumerate().filter(|(_, (_, part, _))| *part > LINEAR) {
+        let more = json!({ "attacked": bounds.sets[i % bounds.sets.len()].name(), "shape": shape, "index": i });
+        report.value(&format!("{name}/beyond"), *part, "of the bound", more);
+    }
     let beyond = reached.iter().filter(|part| **part > LINEAR).count();
     let more = json!({
         "flights": parts.len(), "seed_base": effort.seed_base, "beyond": beyond, "worst": worst(&reached),
-        "seen": parts.iter().filter(|(_, seen)| *seen).count(), "holds": beyond == 0,
+        "seen": parts.iter().filter(|(.., seen)| *seen).count(), "holds": beyond == 0,
     });
-    report.value("heave/drawn", percentile(&reached, 0.95), "of the bound, 95 %", more);
+    report.value(&format!("{name}/drawn"), percentile(&reached, 0.95), "of the bound, 95 %", more);
     Ok(())
 }
 

@@ -2,6 +2,8 @@
 //!
 //! Free, altitude hold at 1 m, the lanes in the loop, an operator who keeps the vehicle over its place.
 
+pub mod aside;
+
 use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::trajectory::{Shape, Trajectory};
@@ -19,7 +21,7 @@ use plumbline_experiment::flight::{Setup, fly_watched};
 use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
-use plumbline_rest::envelope::{EnvelopeQuestion, Heave, PreparedAttack};
+use plumbline_rest::envelope::{EnvelopeQuestion, PreparedAttack, Swing};
 use rand::{RngExt as _, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -153,15 +155,7 @@ impl Worn {
             worn.attacks.push(Attack {
                 id,
                 sensor: format!("{} {}", one.sensor, one.instance).parse().unwrap(),
-                channel: match one.channel.as_str() {
-                    "all" => Channel::All,
-                    "accel_x" => Channel::AccelAxis(0),
-                    "accel_y" => Channel::AccelAxis(1),
-                    "accel_z" => Channel::AccelAxis(2),
-                    "gyro_x" => Channel::GyroAxis(0),
-                    "gyro_y" => Channel::GyroAxis(1),
-                    other => panic!("no generator attacks {other}"),
-                },
+                channel: channel_of(&one.channel),
                 kind: Kind::Bias,
                 start_s: ONSET_S + late_s + one.start_s,
                 duration_s: one.duration_s,
@@ -172,6 +166,19 @@ impl Worn {
             worn.sequences.push(Sequence { attack: id, period_s, values: one.sequence.clone() });
         }
         worn
+    }
+}
+
+/// A channel by its name in a schedule.
+fn channel_of(name: &str) -> Channel {
+    match name {
+        "all" => Channel::All,
+        "accel_x" => Channel::AccelAxis(0),
+        "accel_y" => Channel::AccelAxis(1),
+        "accel_z" => Channel::AccelAxis(2),
+        "gyro_x" => Channel::GyroAxis(0),
+        "gyro_y" => Channel::GyroAxis(1),
+        other => panic!("no generator attacks {other}"),
     }
 }
 
@@ -192,13 +199,26 @@ pub fn fly_held(world: &str, seed: u64, worn: &Worn, horizon_s: f64) -> Flown {
 
 /// Flies `worn` in `world` along a heave, m and s, of which a swing begins with the onset: the agent's own path.
 pub fn fly_heaving(world: &str, seed: u64, worn: &Worn, (amplitude_m, period_s): (f64, f64)) -> Flown {
+    let path = path(Shape::Heave { amplitude_m, period_s }, period_s, 0.0);
+    fly_scripted(world, seed, worn, HORIZON_S, None, ("altitude_hold", "", Some(path)))
+}
+
+/// Flies `worn` in `world` under motion capture along a circle, m and s, whose swing along `axis` (0: x, 1: y) begins with the onset: the
+/// agent's own path.
+pub fn fly_circling(world: &str, seed: u64, worn: &Worn, axis: usize, (radius_m, period_s): (f64, f64)) -> Flown {
+    // It begins in the middle of its swing along x, and at the end of that along y.
+    let turned = if axis == 0 { 0.0 } else { 0.25 };
+    let path = path(Shape::Circle { radius_m, period_s }, period_s, turned * period_s);
+    fly_scripted(world, seed, worn, aside::ASIDE_S, None, ("hold", "add = [\"mocap_pose\"]\n", Some(path)))
+}
+
+/// `shape`, begun so that `late_s` of a period are flown at the onset.
+fn path(shape: Shape, period_s: f64, late_s: f64) -> Step {
     // A path's own time is so far behind once its soft start is over.
     const SOFT_S: f64 = 1.0;
-    let swings = ((ONSET_S - 9.0 - SOFT_S) / period_s).floor();
-    let at_s = ONSET_S - SOFT_S - swings * period_s;
-    let shape = Shape::Heave { amplitude_m, period_s };
-    let path = Command::Trajectory(Some(Trajectory::Shape { shape, duration_s: 0.0 }));
-    fly_scripted(world, seed, worn, HORIZON_S, None, ("altitude_hold", "", Some(Step { at_s, command: path })))
+    let turns = ((ONSET_S - 9.0 - SOFT_S - late_s) / period_s).floor();
+    let at_s = ONSET_S - SOFT_S - late_s - turns * period_s;
+    Step { at_s, command: Command::Trajectory(Some(Trajectory::Shape { shape, duration_s: 0.0 })) }
 }
 
 fn fly_with(world: &str, seed: u64, worn: &Worn, horizon_s: f64, watermark: Option<Settings>, held: bool) -> Flown {
@@ -333,10 +353,14 @@ impl Bounds {
 
     /// The same along a heave, m and s, or of one set only.
     pub fn along(shaken: Shaken, heave: Option<(f64, f64)>, only: Option<&str>) -> Self {
-        let heave = heave.map(|(amplitude_m, period_s)| Heave { amplitude_m, period_s });
+        let swing = heave.map(|(amplitude_m, period_s)| Swing { amplitude_m, period_s });
         let sensors = only.map(|names| names.split(", ").map(str::to_owned).collect());
-        let question = EnvelopeQuestion { heave, sensors, ..asked_with(shaken) };
-        let asked = Asked::new(&question, None).unwrap();
+        Self::asked(&EnvelopeQuestion { swing, sensors, ..asked_with(shaken) })
+    }
+
+    /// Those of a question.
+    pub fn asked(question: &EnvelopeQuestion) -> Self {
+        let asked = Asked::new(question, None).unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
             let Found { verdict, regime, .. } = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
             let Verdict::Bounded(bound, _) = verdict else { return None };

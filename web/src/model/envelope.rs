@@ -82,14 +82,18 @@ fn cm(m: Option<f64>) -> String {
     m.map_or_else(|| "unbounded".to_owned(), |m| format!("{} cm", format::fixed((1e3 * m).ceil() / 10.0, 1)))
 }
 
-/// `one height more: 2.5 cm → 2.0 cm by a height, …`: what a sensor more of a kind (`height`, `imu`) buys.
+/// `one height more: 2.5 cm → 2.0 cm by a height, …`: what a sensor more of a kind (`height`, `imu`, `pose`) buys.
 pub fn price(kind: &str, before: &Envelope, after: &Envelope) -> String {
     let of = |begins: &str, name: &str| {
         let (old, new) = (of_one_such_m(before, begins), of_one_such_m(after, begins));
         format!("{} \u{2192} {} by {name}", cm(old), cm(new))
     };
-    let named = if kind == "imu" { "IMU" } else { kind };
-    format!("one {named} more: {}, {}", of("height", "one height"), of("imu", "one IMU"))
+    let more = match kind {
+        "imu" => "one IMU more",
+        "pose" => "motion capture, if nobody attacks that",
+        _ => "one height more",
+    };
+    format!("{more}: {}, {}", of("height", "one height"), of("imu", "one IMU"))
 }
 
 /// In one line: `height 1: 2.4 cm; any IMU: 2.0 cm; …`.
@@ -212,6 +216,7 @@ mod tests {
             price("height", &before, &after),
             "one height more: 2.5 cm \u{2192} 2.1 cm by one height, 1.9 cm \u{2192} 1.9 cm by one IMU"
         );
+        assert!(price("pose", &before, &after).starts_with("motion capture, if nobody attacks that: 2.5 cm"));
         assert_eq!(
             (of_one_m(&before), line(&before).as_str()),
             (Some(0.025), "height 1: 2.5 cm; any IMU: 1.9 cm; height 1 and height 2: unbounded")

@@ -71,11 +71,11 @@ pub fn EnvelopeCard() -> impl IntoView {
     let about = about();
     let more =
         |kind: &str| EnvelopeQuestion { most: Some(1), more: Some(kind.to_owned()), ..EnvelopeQuestion::default() };
-    let questions = vec![EnvelopeQuestion::default(), more("height"), more("imu")];
+    let questions = vec![EnvelopeQuestion::default(), more("height"), more("imu"), more("pose")];
     let found = answers(Signal::derive(move || questions.clone()));
     let prices = move |before: &Envelope| {
         let of = |(place, kind)| answer(found, place).and_then(Result::ok).map(|after| price(kind, before, &after));
-        [(1, "height"), (2, "imu")].into_iter().filter_map(of).collect::<Vec<_>>()
+        [(1, "height"), (2, "imu"), (3, "pose")].into_iter().filter_map(of).collect::<Vec<_>>()
     };
     view! {
         <section class="card facts" aria-label="Attack envelope">

@@ -18,31 +18,31 @@ pub(super) struct Bank<'a> {
 }
 
 impl Bank<'_> {
-    /// Takes slot `number`: mean specific force, what the lane of each attacked IMU takes of what is added to that, heights with their offsets removed. The
-    /// innovations.
+    /// Takes slot `number`: mean specific force, what the lane of each attacked IMU takes of what is added to that, what each row measured, of heights
+    /// with their offsets removed. The innovations.
     pub(super) fn take(
         &mut self,
         number: usize,
         force: &Signal,
         added: &[Signal],
-        heights: &[Option<Signal>],
+        measured: &[Option<Signal>],
         width: usize,
     ) -> Vec<Innovation> {
         let mut innovations = Vec::new();
         let Some(slot) = self.maps.get(number % self.maps.len().max(1)) else { return innovations };
         let none = Signal::zeros(width);
-        let row = |row: usize, states: &[Signal; STATES], force: &Signal, heights: &[Option<Signal>]| {
-            let measured = heights.iter().map(|height| height.as_ref().unwrap_or(&none));
+        let row = |row: usize, states: &[Signal; STATES], force: &Signal, measured: &[Option<Signal>]| {
+            let measured = measured.iter().map(|one| one.as_ref().unwrap_or(&none));
             let inputs = states.iter().chain(std::iter::once(force)).chain(measured);
             weighted(slot.map.row(row).iter().copied(), inputs, width)
         };
         for (i, sigma) in slot.sigma_m.iter().enumerate() {
             let Some(sigma) = sigma else { continue };
-            let own = row(STATES + i, &self.healthy, force, heights);
+            let own = row(STATES + i, &self.healthy, force, measured);
             let others = self.differ.iter().zip(added).map(|(lane, added)| row(STATES + i, lane, added, &[])).collect();
             innovations.push((i, *sigma, own, others));
         }
-        self.healthy = std::array::from_fn(|r| row(r, &self.healthy, force, heights));
+        self.healthy = std::array::from_fn(|r| row(r, &self.healthy, force, measured));
         for (lane, added) in self.differ.iter_mut().zip(added) {
             *lane = std::array::from_fn(|r| row(r, lane, added, &[]));
         }

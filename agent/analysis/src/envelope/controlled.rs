@@ -17,6 +17,8 @@ pub(super) struct Controlled {
     law: StateSpace,
     vehicle: (DMatrix<f64>, DMatrix<f64>),
     pub(super) tick_s: f64,
+    /// How much of the way to what is asked the motors go in a tick.
+    pub(super) lags: f64,
 }
 
 impl Controlled {
@@ -54,7 +56,8 @@ impl Controlled {
             c: linear.c.select_rows(&[input]),
             d: linear.d.select_rows(&[input]).select_columns(kept),
         };
-        Ok(Self { law, vehicle: (sampled.a, sampled.b), tick_s })
+        let lags = 1.0 - (-tick_s / lag_s).exp();
+        Ok(Self { law, vehicle: (sampled.a, sampled.b), tick_s, lags })
     }
 }
 

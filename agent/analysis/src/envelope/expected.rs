@@ -9,7 +9,7 @@
 
 use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
-use plumbline_core::estimate::lanes::linear::{Differing, HORIZON_S, INPUTS, SLOT, STATES, SlotMap, cycle};
+use plumbline_core::estimate::lanes::linear::{Differing, HORIZON_S, INPUTS, ROWS, SLOT, STATES, SlotMap, cycle};
 use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
@@ -123,7 +123,7 @@ struct Heard<'a> {
     residuals_m: &'a [[f64; MAX_HEIGHTS]],
     /// For each of [`BEGUN`], slot by slot.
     differs: &'a [Vec<Differs>],
-    schedule: &'a [[Option<f64>; MAX_HEIGHTS]],
+    schedule: &'a [[Option<f64>; ROWS]],
     /// Of a healthy lane.
     maps: &'a [SlotMap],
     horizon_s: f64,
@@ -168,15 +168,19 @@ impl Heard<'_> {
 
     /// What the heights read in slot `number` from where the lanes have the altitude, and from the altitude as it is, which accelerations
     /// alone follow; and the noise in both.
-    fn heights(&self, number: usize, before: usize, dice: &mut Xoshiro256PlusPlus) -> (Read, Read, [f64; MAX_HEIGHTS]) {
+    fn heights(&self, number: usize, before: usize, dice: &mut Xoshiro256PlusPlus) -> (Read, Read, [f64; ROWS]) {
         let end_s = (number + 1) as f64 * SLOT;
         let ages = self.schedule.get(number % self.schedule.len().max(1)).copied().unwrap_or_default();
-        let (mut heights, mut coasted, mut noises) = ([None; MAX_HEIGHTS], [None; MAX_HEIGHTS], [0.0; MAX_HEIGHTS]);
-        let places = heights.iter_mut().zip(&mut coasted).zip(&mut noises).zip(ages).enumerate();
+        let (mut heights, mut coasted, mut noises) = ([None; MAX_HEIGHTS], [None; MAX_HEIGHTS], [0.0; ROWS]);
+        for (noise, (age_s, sigma)) in noises.iter_mut().zip(ages.iter().zip(&self.attacked.flying.white.0)) {
+            if age_s.is_some() {
+                let draw: f64 = StandardNormal.sample(dice);
+                *noise = sigma * draw;
+            }
+        }
+        let places = heights.iter_mut().zip(&mut coasted).zip(&noises).zip(ages).enumerate();
         for (i, (((height, coasted), noise), age_s)) in places {
             let Some(age_s) = age_s else { continue };
-            let draw: f64 = StandardNormal.sample(dice);
-            *noise = self.attacked.flying.white.0.get(i).map_or(0.0, |sigma_m| sigma_m * draw);
             let slot = number.checked_sub(before).and_then(|number| self.residuals_m.get(number));
             let residual_m = slot.and_then(|slot| slot.get(i)).copied().unwrap_or_default();
             let since_s = end_s - age_s - before as f64 * SLOT;
@@ -197,7 +201,7 @@ impl Heard<'_> {
         differs: &[(f64, Differing)],
         number: usize,
         states: &mut [[f64; STATES]],
-        noises: &[f64; MAX_HEIGHTS],
+        noises: &[f64; ROWS],
         dice: &mut Xoshiro256PlusPlus,
     ) -> [Option<LaneHeard>; MAX_IMUS] {
         let mut lanes = [None; MAX_IMUS];

@@ -18,11 +18,13 @@
 use std::collections::VecDeque;
 
 use plumbline_core::control::law::Law;
-use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, Shaken, cycle, of_heights, of_imus, slot_of};
+use plumbline_core::estimate::lanes::linear::{
+    GNSS, HORIZON_S, POSE, ROWS, SLOT, Shaken, cycle, of_heights, of_imus, slot_of,
+};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::ix;
 use plumbline_core::sensor::imu::Imu;
-use plumbline_core::sensor::suite::Suite;
+use plumbline_core::sensor::suite::{Suite, Timing};
 use plumbline_core::sensor::{MAX_HEIGHTS, SensorModel};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
@@ -31,7 +33,7 @@ use super::bank::Bank;
 use super::controlled::{Controlled, Motion};
 use super::judges::{Judges, SQUARES};
 use super::program::Memory;
-use super::{EnvelopeError, Model, Response, Signal};
+use super::{EnvelopeError, Model, Response, Signal, lateral};
 
 /// Altitude of the hover, m.
 pub(super) const ALTITUDE_M: f64 = 1.0;
@@ -46,10 +48,12 @@ pub struct Loop {
     /// Heights and IMUs, in the order of the suite.
     pub sensors: Vec<SensorId>,
     pub(super) model: SensorModel,
-    /// White noise of a sample of each height, m, and of each accelerometer over a slot, m/s²; one sigma.
-    pub(super) white: (Vec<f64>, Vec<f64>),
+    /// White noise of a sample of each row that measures, m and m/s, and of each accelerometer over a slot, m/s²; one sigma.
+    pub(super) white: ([f64; ROWS], Vec<f64>),
     /// Rate, Hz, and time of the first sample, s, of each height; `None` for one that is excluded.
     pub(super) timing: Vec<Option<(f64, f64)>>,
+    /// What else measures along z, its row, and for each slot of a cycle how long before its end, s. Nobody judges it: it is healthy.
+    aid: Option<(SensorId, usize, Vec<Option<f64>>)>,
     pub(super) imus: usize,
     controlled: Controlled,
     /// What the lanes measure of their accelerometers.
@@ -153,14 +157,21 @@ impl Loop {
             let value = suite.imus.len().min(timing.len()) as f64;
             return Err(EnvelopeError::Value { what: "heights or IMUs of the suite", value, expected: "at least 1" });
         }
+        let mut noise = [0.0; ROWS];
+        noise.iter_mut().zip(&suite.heights).for_each(|(sigma_m, height)| *sigma_m = height.height.total_sigma());
+        let aided = |(kind, timing): (SensorKind, Timing)| {
+            let row = if kind == SensorKind::MocapPose { POSE } else { GNSS };
+            Ok::<_, EnvelopeError>((SensorId::new(kind, 1), row, lateral::ages_s(&timing)?))
+        };
+        let aid = lateral::aiding(suite, &[]).map(aided).transpose()?;
+        noise[POSE] = suite.mocap_pose.as_ref().map_or(0.0, |pose| pose.position.total_sigma());
+        noise[GNSS] = suite.gnss.as_ref().map_or(0.0, |gnss| gnss.velocity.total_sigma());
         Ok(Self {
             sensors,
             model: SensorModel::from(suite),
-            white: (
-                suite.heights.iter().map(|h| h.height.total_sigma()).collect(),
-                suite.imus.iter().map(|imu| white(imu, shaken.noise_mps2)[0]).collect(),
-            ),
+            white: (noise, suite.imus.iter().map(|imu| white(imu, shaken.noise_mps2)[0]).collect()),
             timing,
+            aid,
             imus: suite.imus.len(),
             controlled,
             shaken,
@@ -203,7 +214,8 @@ impl Loop {
     /// # Errors
     /// [`EnvelopeError::UnknownSensor`], [`EnvelopeError::Value`] where no height or no IMU is left.
     pub fn without(mut self, excluded: &[SensorId]) -> Result<Self, EnvelopeError> {
-        self.known(excluded)?;
+        Self::known(excluded, &self.used().collect::<Vec<_>>())?;
+        self.aid = self.aid.filter(|(sensor, ..)| !excluded.contains(sensor));
         self.sensors.retain(|sensor| !excluded.contains(sensor));
         for (i, timing) in self.timing.iter_mut().enumerate() {
             *timing = timing.filter(|_| !excluded.contains(&SensorId::new(SensorKind::Height, i as u8 + 1)));
@@ -222,9 +234,19 @@ impl Loop {
         self.sensors.iter().filter(|sensor| sensor.kind == kind).count()
     }
 
-    fn known(&self, sensors: &[SensorId]) -> Result<(), EnvelopeError> {
-        let Some(unknown) = sensors.iter().find(|sensor| !self.sensors.contains(sensor)) else { return Ok(()) };
-        let known = self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    /// What measures beside heights and IMUs.
+    pub(super) fn aiding(&self) -> Option<SensorId> {
+        self.aid.as_ref().map(|(sensor, ..)| *sensor)
+    }
+
+    /// All that it uses.
+    pub(super) fn used(&self) -> impl Iterator<Item = SensorId> + '_ {
+        self.sensors.iter().copied().chain(self.aiding())
+    }
+
+    fn known(sensors: &[SensorId], of: &[SensorId]) -> Result<(), EnvelopeError> {
+        let Some(unknown) = sensors.iter().find(|sensor| !of.contains(sensor)) else { return Ok(()) };
+        let known = of.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
         Err(EnvelopeError::UnknownSensor { sensor: unknown.to_string(), known })
     }
 
@@ -236,7 +258,7 @@ impl Loop {
         if sensors.len() > self.sensors.len() {
             return Err(EnvelopeError::SetTooLarge { size: sensors.len(), sensors: self.sensors.len() });
         }
-        self.known(sensors)?;
+        Self::known(sensors, &self.sensors)?;
         let of = |kind: SensorKind| {
             let mine = sensors.iter().filter(move |sensor| sensor.kind == kind);
             let mut places: Vec<usize> = mine.map(|sensor| usize::from(sensor.instance) - 1).collect();
@@ -247,10 +269,20 @@ impl Loop {
         Ok(Attacked { flying: self, heights: of(SensorKind::Height), imus: of(SensorKind::Imu), regime, near_m: 0.0 })
     }
 
-    /// When each height samples in a cycle of slots: how long before the slot's end, s.
-    pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; MAX_HEIGHTS]>, EnvelopeError> {
-        let slots = repeating(self.timing.iter().flatten().map(|(rate_hz, _)| *rate_hz))?;
-        let mut ages = vec![[None; MAX_HEIGHTS]; slots];
+    /// When each row is sampled in a cycle of slots: how long before the slot's end, s.
+    pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; ROWS]>, EnvelopeError> {
+        let own = repeating(self.timing.iter().flatten().map(|(rate_hz, _)| *rate_hz))?;
+        let aided = self.aid.as_ref().map_or(1, |(_, _, ages_s)| ages_s.len().max(1));
+        let slots =
+            (1..=aided).map(|times| times * own).find(|slots| slots.is_multiple_of(aided)).unwrap_or(own * aided);
+        let mut ages = vec![[None; ROWS]; slots];
+        if let Some((_, row, ages_s)) = &self.aid {
+            for (slot, age_s) in ages.iter_mut().zip(ages_s.iter().cycle()) {
+                if let Some(place) = slot.get_mut(*row) {
+                    *place = *age_s;
+                }
+            }
+        }
         for (i, timing) in self.timing.iter().enumerate() {
             let Some((rate_hz, phase_s)) = timing else { continue };
             for k in 0..(slots as f64 * SLOT * rate_hz).round() as usize {
@@ -361,6 +393,7 @@ impl Model for Attacked<'_> {
             vehicle: Motion::new(&of.controlled, width),
             predictor: Predictor { now: [zero(), zero()], bias: zero(), grown: VecDeque::new() },
             altitudes: Vec::new(),
+            climbs: Vec::new(),
             response: Response::default(),
         };
         (0..(horizon_s / of.controlled.tick_s).round() as usize).for_each(|tick| running.tick(tick));
@@ -372,7 +405,7 @@ impl Model for Attacked<'_> {
 struct Running<'a> {
     of: &'a Attacked<'a>,
     attack: &'a dyn Fn(SensorId, usize) -> Signal,
-    schedule: Vec<[Option<f64>; MAX_HEIGHTS]>,
+    schedule: Vec<[Option<f64>; ROWS]>,
     width: usize,
     bank: Bank<'a>,
     judges: Judges,
@@ -380,6 +413,7 @@ struct Running<'a> {
     predictor: Predictor,
     /// At each tick.
     altitudes: Vec<Signal>,
+    climbs: Vec<Signal>,
     /// Altitude and climb at the beginning of each slot, and what the judges heard.
     response: Response,
 }
@@ -393,6 +427,7 @@ impl Running<'_> {
         let tick_s = self.of.flying.controlled.tick_s;
         let (per_slot, late) = ((SLOT / tick_s).round() as usize, (HORIZON_S / tick_s).round() as usize);
         self.altitudes.push(self.vehicle.x[0].clone());
+        self.climbs.push(self.vehicle.x[1].clone());
         if tick.is_multiple_of(per_slot) {
             self.response.place_m.push(self.vehicle.x[0].clone());
             self.response.speed_mps.push(self.vehicle.x[1].clone());
@@ -428,11 +463,17 @@ impl Running<'_> {
         let ages = self.schedule.get(number % self.schedule.len()).copied().unwrap_or_default();
         let height = |i: usize, age_s: f64| self.of.height(i, number, age_s, &self.altitudes, self.attack);
         let measured: Vec<Option<Signal>> =
-            ages.iter().enumerate().map(|(i, age_s)| age_s.map(|age_s| height(i, age_s))).collect();
+            ages.iter().take(MAX_HEIGHTS).enumerate().map(|(i, age_s)| age_s.map(|age_s| height(i, age_s))).collect();
+        let aided = [(POSE, &self.altitudes), (GNSS, &self.climbs)].map(|(row, of)| {
+            let time_s = (number + 1) as f64 * SLOT - ages.get(row).copied().flatten()?;
+            of.get((time_s / self.of.flying.controlled.tick_s).round().max(0.0) as usize).cloned()
+        });
         let z_m = self.of.flying.altitude_m((number + 1) as f64 * SLOT);
         let corrected = self.judges.without_offsets(&measured, z_m);
+        let all: Vec<Option<Signal>> =
+            corrected.iter().cloned().chain((corrected.len()..MAX_HEIGHTS).map(|_| None)).chain(aided).collect();
         let own: Vec<Signal> = added.iter().map(|added| added * self.of.flying.shaken.own()).collect();
-        let innovations = self.bank.take(number, &force, &own, &corrected, self.width);
+        let innovations = self.bank.take(number, &force, &own, &all, self.width);
         let (z, v) = (self.bank.fused(0), self.bank.fused(1));
         let after = |(y, age_s): (&Option<Signal>, &Option<f64>)| Some(y.as_ref()? - &z + &v * (*age_s)?);
         let raw = measured.iter().zip(&ages).enumerate();

@@ -13,7 +13,7 @@
 use nalgebra::SVector;
 use plumbline_core::estimate::lanes::judged::{Judged, LaneHeard};
 use plumbline_core::estimate::lanes::lateral::{INPUTS, ROWS, STATES};
-use plumbline_core::estimate::lanes::linear::{Measured, SLOT, Shaken, noise_course, of_imus};
+use plumbline_core::estimate::lanes::linear::{self, Measured, SLOT, Shaken, noise_course, of_imus};
 use plumbline_core::sensor::{MAX_HEIGHTS, MAX_IMUS};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
@@ -128,7 +128,9 @@ impl<'a> Heard<'a> {
             for (i, lane) in lanes.iter_mut().enumerate() {
                 let added = under.and_then(|under| self.added.get(i)?.get(under)).copied().unwrap_or_default();
                 let sigma = self.lateral.white.imus.get(i).copied().unwrap_or_default();
-                let read: [f64; 2] = std::array::from_fn(|of| felt[of] + added[of] + sigma[of] * normal(dice));
+                let [force, rate, lift] = felt;
+                let read =
+                    [force + added[0] + sigma[0] * normal(dice), rate + added[1] + sigma[1] * normal(dice), lift];
                 let place = measured.unwrap_or_default();
                 let inputs = lane.iter().chain(&read).chain(&place).copied();
                 let level = under.and_then(|under| raised?.get(i)?.get(under)).filter(|level| **level > 0);
@@ -138,7 +140,7 @@ impl<'a> Heard<'a> {
                 });
                 let out = own.unwrap_or(map) * SVector::<f64, INPUTS>::from_iterator(inputs);
                 lane.iter_mut().zip(out.iter()).for_each(|(state, out)| *state = *out);
-                let innovations = std::array::from_fn::<_, MAX_HEIGHTS, _>(|row| {
+                let innovations = std::array::from_fn::<_, { linear::ROWS }, _>(|row| {
                     measured.filter(|_| row < ROWS).and_then(|_| out.get(STATES + row).copied())
                 });
                 for (of, (heard, unit)) in heard.iter_mut().zip(UNITS).enumerate() {

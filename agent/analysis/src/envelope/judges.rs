@@ -17,7 +17,7 @@ use super::flying::{Attacked, Regime, usual_mps2};
 use super::program::{Memory, Statistic};
 
 /// Names of the detectors that sum squares.
-pub(super) const EVIDENCE: &str = "IMU evidence";
+pub const EVIDENCE: &str = "IMU evidence";
 const VOTE: &str = "IMU vote, one slot";
 /// Names of the vote over an accelerometer.
 pub(super) const ALONG: (&str, &str) = ("IMU vote", VOTE);

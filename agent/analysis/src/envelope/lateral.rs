@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 use std::sync::OnceLock;
 
 use plumbline_core::control::law::Law;
-use plumbline_core::estimate::lanes::lateral::{Aid, Along, Map, STATES, UNAIDED_SLOTS};
+use plumbline_core::estimate::lanes::lateral::{Aid, Along, MEANS, Map, STATES, Swing, UNAIDED_SLOTS};
 use plumbline_core::estimate::lanes::linear::{HORIZON_S, SLOT, Shaken, of_imus, of_rates, slot_of};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::{hover, ix};
@@ -50,13 +50,21 @@ pub struct Lateral {
     drives: (f64, f64),
     /// What the vote takes for usual, m/s² and rad/s.
     usual: (f64, f64),
-    pub(super) most: (f64, f64),
+    /// Most that may be added, m/s² and rad/s.
+    pub most: (f64, f64),
     /// What a lane is made of: models, and what a GNSS receiver tells as its one-sigma, m.
     lane: (SensorModel, Airframe, f64),
     /// Noise that the lanes take their accelerometers for, and what they measure of it, m/s².
     pub(super) noise: (f64, f64),
     raised: OnceLock<Vec<Vec<Map>>>,
+    /// What is flown, where it is no hover.
+    swing: Option<Swing>,
 }
+
+/// A swing is small enough to be followed up to this tilt, rad …
+const LEAN_RAD: f64 = 0.2;
+/// … and no quicker than this, s: the law has no part in what it commands ahead.
+const SWINGS_S: (f64, f64) = (2.0, 20.0);
 
 /// Noise that an attacked lane takes its accelerometer for, over that of the others: in flight it changes by little at a time.
 pub(super) const RAISED: [f64; 5] = [1.0, 1.25, 1.5, 1.75, 2.0];
@@ -91,8 +99,8 @@ impl White {
 pub(super) struct Course {
     /// Tilt (rad), velocity (m/s) and position (m) at the beginning of each slot.
     pub(super) aside: Vec<[f64; 3]>,
-    /// Means over each slot that healthy accelerometers and gyroscopes read, m/s² and rad/s.
-    pub(super) felt: Vec<[f64; 2]>,
+    /// Means over each slot that healthy accelerometers and gyroscopes read; see [`MEANS`].
+    pub(super) felt: Vec<[f64; MEANS]>,
     /// Position (m), velocity (m/s) and tilt (rad) as received from the aid in each slot that has a sample.
     pub(super) received: Vec<Option<[f64; 3]>>,
 }
@@ -134,21 +142,18 @@ impl Lateral {
                 expected: "at least 1",
             });
         }
-        let has = |kind: SensorKind| used.contains(&SensorId::new(kind, 1));
-        // Beside a pose GNSS says next to nothing.
-        let (aid, timing) = if has(SensorKind::MocapPose) {
-            used.retain(|sensor| sensor.kind != SensorKind::Gnss);
-            (Aid::Pose, suite.mocap_pose.as_ref().map(|pose| pose.timing))
-        } else if has(SensorKind::Gnss) {
-            (Aid::Gnss, suite.gnss.as_ref().map(|gnss| gnss.timing))
-        } else {
-            (Aid::None, None)
+        let aiding = aiding(suite, without);
+        let aid = match aiding {
+            Some((SensorKind::MocapPose, _)) => Aid::Pose,
+            Some(_) => Aid::Gnss,
+            None => Aid::None,
         };
-        let ages_s = timing.map_or_else(|| Ok(vec![None; UNAIDED_SLOTS]), |timing| ages_s(&timing))?;
+        used.retain(|sensor| sensor.kind == SensorKind::Imu || aiding.is_some_and(|(kind, _)| kind == sensor.kind));
+        let ages_s = aiding.map_or_else(|| Ok(vec![None; UNAIDED_SLOTS]), |(_, timing)| ages_s(&timing))?;
         let model = SensorModel::from(suite);
         let gnss_sigma_m = suite.gnss.as_ref().map_or(1.0, |gnss| gnss.horizontal.total_sigma());
         let (measured_mps2, noise_mps2) = (noise_mps2, noise_mps2.max(of_imus::NOISE_MPS2));
-        let along = Along { axis, aid, ages_s: &ages_s, gnss_sigma_m };
+        let along = Along { axis, aid, ages_s: &ages_s, gnss_sigma_m, swing: None };
         let maps = along.cycle(&model, airframe, noise_mps2, ALTITUDE_M);
         let (about, other) = (hover(airframe), 1 - axis);
         let kept = [ix::X + axis, ix::VX + axis, ix::ROLL + other, ix::P + other];
@@ -175,15 +180,54 @@ impl Lateral {
             lane,
             noise,
             raised,
+            swing: None,
         })
+    }
+
+    /// About a swing along the axis in the place of a hover: the loop varies along it. The law divides its thrust by the tilt as it is
+    /// estimated, so thrust that leans pushes along the axis as much as its estimate is off; the lanes turn what they feel by their tilt.
+    ///
+    /// # Errors
+    /// [`EnvelopeError::Value`] for one that leans too far, whose turn is not whole slots, or that nothing measures.
+    pub fn swinging(mut self, swing: Swing) -> Result<Self, EnvelopeError> {
+        let Swing { amplitude_m, period_s } = swing;
+        if self.aid == Aid::None {
+            let expected = "1: motion capture or GNSS, without which no path is flown";
+            return Err(EnvelopeError::Value { what: "sensors that measure the position", value: 0.0, expected });
+        }
+        let slots = period_s / SLOT;
+        if !(SWINGS_S.0..=SWINGS_S.1).contains(&period_s) || (slots - slots.round()).abs() > 1e-6 {
+            let expected = "2 to 20, in whole slots of 40 ms";
+            return Err(EnvelopeError::Value { what: "period_s", value: period_s, expected });
+        }
+        self.swing = Some(swing);
+        let lean_rad = self.tilt_rad(0.25 * period_s).abs();
+        if !(0.0..=LEAN_RAD).contains(&lean_rad) || amplitude_m < 0.0 {
+            let expected = "as far as leans by 0.2 rad at most";
+            return Err(EnvelopeError::Value { what: "amplitude_m", value: amplitude_m, expected });
+        }
+        (self.maps, self.raised) = (self.cycle(1.0), OnceLock::new());
+        Ok(self)
+    }
+
+    /// Tilt of what is flown so long after the onset, rad.
+    fn tilt_rad(&self, time_s: f64) -> f64 {
+        let (model, airframe, _) = &self.lane;
+        let drag = airframe.linear_drag_nspm / airframe.mass_kg;
+        self.swing.map_or(0.0, |swing| swing.tilt_rad(time_s, self.axis, drag, model.imus.gravity_mps2))
+    }
+
+    /// The maps of a lane that takes its accelerometer for `part` times as noisy.
+    fn cycle(&self, part: f64) -> Vec<Map> {
+        let (model, airframe, gnss_sigma_m) = &self.lane;
+        let (axis, aid, swing) = (self.axis, self.aid, self.swing);
+        let along = Along { axis, aid, ages_s: &self.ages_s, gnss_sigma_m: *gnss_sigma_m, swing };
+        along.cycle(model, airframe, part * self.noise.0, ALTITUDE_M)
     }
 
     /// The maps of a lane that takes its accelerometer for [`RAISED`] times as noisy.
     pub(super) fn raised(&self) -> &[Vec<Map>] {
-        let (model, airframe, gnss_sigma_m) = &self.lane;
-        let along = Along { axis: self.axis, aid: self.aid, ages_s: &self.ages_s, gnss_sigma_m: *gnss_sigma_m };
-        let maps = |part: &f64| along.cycle(model, airframe, part * self.noise.0, ALTITUDE_M);
-        self.raised.get_or_init(|| RAISED.iter().map(maps).collect())
+        self.raised.get_or_init(|| RAISED.iter().map(|part| self.cycle(*part)).collect())
     }
 
     /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.
@@ -286,9 +330,17 @@ pub fn sensors(suite: &Suite) -> Vec<SensorId> {
     imus.chain(others.into_iter().filter(|sensor| suite.contains(*sensor))).collect()
 }
 
+/// What measures the motion of `suite` but for IMUs and heights, and when. Beside a pose GNSS says next to nothing.
+pub(super) fn aiding(suite: &Suite, without: &[SensorId]) -> Option<(SensorKind, Timing)> {
+    let has = |kind: SensorKind| !without.contains(&SensorId::new(kind, 1));
+    let pose = suite.mocap_pose.as_ref().map(|pose| (SensorKind::MocapPose, pose.timing));
+    let gnss = suite.gnss.as_ref().map(|gnss| (SensorKind::Gnss, gnss.timing));
+    [pose, gnss].into_iter().flatten().find(|(kind, _)| has(*kind))
+}
+
 /// For each slot of a cycle how long before its end the sample that is used was taken, s. One that arrives when its slot is closed is taken in the
 /// oldest that is open.
-fn ages_s(timing: &Timing) -> Result<Vec<Option<f64>>, EnvelopeError> {
+pub(super) fn ages_s(timing: &Timing) -> Result<Vec<Option<f64>>, EnvelopeError> {
     let slots = repeating(std::iter::once(timing.rate_hz))?;
     let mut ages_s = vec![None; slots];
     for k in 0..(slots as f64 * SLOT * timing.rate_hz).round() as usize {
@@ -320,7 +372,8 @@ impl Attacked<'_> {
             width,
             motion: Motion::new(&of.controlled, width),
             places: Vec::new(),
-            felt: zeros(2),
+            felt: zeros(MEANS),
+            lift: Signal::zeros(width),
             means: Vec::new(),
             received: Vec::new(),
             healthy: zeros(STATES),
@@ -375,8 +428,10 @@ struct Running<'a> {
     motion: Motion<'a>,
     /// Position, velocity, tilt at each tick.
     places: Vec<[Signal; 3]>,
-    /// Growth of specific force and rate in the slot that runs, without the attack: m/s, rad.
+    /// Growth of specific force, rate and thrust in the slot that runs, without the attack: m/s, rad, m/s.
     felt: Vec<Signal>,
+    /// Thrust over mass behind the motors' lag, m/s².
+    lift: Signal,
     /// Their means over each slot.
     means: Vec<Vec<Signal>>,
     /// What came of the aid in each slot closed: position, velocity, tilt.
@@ -388,7 +443,7 @@ struct Running<'a> {
     /// Position, velocity, tilt as estimated, before the torques lead them; biases of accelerometer and gyroscope.
     now: Vec<Signal>,
     biases: Vec<Signal>,
-    /// What force and rate grew by in each tick since the oldest slot that may be closed.
+    /// What the force along the axis and the rate grew by in each tick since the oldest slot that may be closed.
     grown: VecDeque<[Signal; 2]>,
     /// m of `rates.rs`, the oldest first.
     turned: VecDeque<Signal>,
@@ -430,7 +485,7 @@ impl Running<'_> {
 
     fn tick(&mut self, tick: usize) {
         let Lateral { controlled, drives, .. } = self.lateral();
-        let (tick_s, drives) = (controlled.tick_s, *drives);
+        let (tick_s, lag, drives) = (controlled.tick_s, controlled.lags, *drives);
         let (per_slot, late) = ((SLOT / tick_s).round() as usize, (HORIZON_S / tick_s).round() as usize);
         let [place, speed, tilt, rate, torque] = std::array::from_fn(|i| self.motion.x[i].clone());
         self.places.push([place.clone(), speed.clone(), tilt.clone()]);
@@ -449,11 +504,20 @@ impl Running<'_> {
         }
         let added = self.shared(tick / per_slot);
         let estimate = self.led(&rate, &added[1], &torque);
+        let (sin, cos) = self.lateral().tilt_rad(tick as f64 * tick_s).sin_cos();
+        // Thrust over mass is g over the cosine of the tilt as estimated; positive where it lifts.
+        let (gravity_mps2, way) = (drives.0.abs(), drives.0.signum());
+        let asked = &estimate[2] * (gravity_mps2 * sin / (cos * cos));
         self.motion.step(&estimate, self.width);
+        self.lift.axpy(lag, &(asked - &self.lift), 1.0);
+        let lifted = &self.lift * tick_s;
+        self.motion.x[0].axpy(0.5 * tick_s * way * sin, &lifted, 1.0);
+        self.motion.x[1].axpy(way * sin, &lifted, 1.0);
         // What the IMUs feel of this tick.
         let (after, turned) = (&self.motion.x[1], &self.motion.x[2] - &tilt);
-        let force = after - &speed - (&tilt + &turned * 0.5) * (drives.0 * tick_s);
-        for (sum, grown) in self.felt.iter_mut().zip([&force, &turned]) {
+        let mut force = after - &speed - (&tilt + &turned * 0.5) * (drives.0 * tick_s);
+        force.axpy(-way * sin, &lifted, 1.0);
+        for (sum, grown) in self.felt.iter_mut().zip([&force, &turned, &lifted]) {
             *sum += grown;
         }
         if (tick + 1).is_multiple_of(per_slot) {
@@ -461,7 +525,9 @@ impl Running<'_> {
             let means = self.felt.iter_mut().map(mean).collect();
             self.means.push(means);
         }
-        let grown = [force + &added[0] * tick_s, turned + &added[1] * tick_s];
+        let mut along = force + &added[0] * (cos * tick_s);
+        along.axpy(way * sin, &lifted, 1.0);
+        let grown = [along, turned + &added[1] * tick_s];
         self.follow(&grown);
         self.grown.push_back(grown);
     }
@@ -492,7 +558,7 @@ impl Running<'_> {
             let inputs = || states.iter().chain(means).chain(measured);
             (0..map.nrows()).map(|row| weighted(map.row(row).iter().copied(), inputs(), width)).collect()
         };
-        let none = || vec![Signal::zeros(width); 2];
+        let none = || vec![Signal::zeros(width); MEANS];
         let age_s = lateral.ages_s.get(number % lateral.ages_s.len().max(1)).copied().flatten();
         let tick = |age_s: f64| ((time_s - age_s) / lateral.controlled.tick_s).round().max(0.0) as usize;
         let mut measured = age_s.and_then(|age_s| self.places.get(tick(age_s)).cloned());
@@ -511,7 +577,8 @@ impl Running<'_> {
             let (Some(differ), Some(judge)) = (self.differ.get_mut(place), self.judges.get_mut(place)) else {
                 continue;
             };
-            *differ = taken(differ, &added, &[]);
+            let [force, rate] = &added;
+            *differ = taken(differ, &[force.clone(), rate.clone(), Signal::zeros(width)], &[]);
             let rows = differ.split_off(STATES);
             let mut add = |detector, limit, row| {
                 self.response.statistics.push(Statistic { detector, sensor: Some(*imu), time_s, limit, row });

@@ -35,6 +35,7 @@ use nalgebra::DVector;
 use plumbline_core::linalg::LinalgError;
 use plumbline_proto::ids::SensorId;
 
+pub use self::judges::EVIDENCE;
 use self::program::{Memory, Program, Statistic};
 use crate::design::DesignError;
 

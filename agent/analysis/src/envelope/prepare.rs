@@ -68,6 +68,13 @@ pub fn prepared(question: &AttackQuestion, suite: Option<Suite>) -> Result<Prepa
     }
     let planned =
         |sensor: SensorId, kind: &str, magnitude: f64| planned(question, asked.horizon_s, sensor, kind, magnitude);
+    if let Some(generator @ ("zero_dynamics" | "covert")) = question.generator.as_deref()
+        && let Some(aiding) = asked.flying.aiding()
+    {
+        let problem =
+            format!("is {generator}: {aiding} measures along z, too, where it is not attacked, and sees the motion");
+        return Err(wrong("generator", problem));
+    }
     match question.generator.as_deref() {
         Some("zero_dynamics") => return rotors::zero_dynamics(question, &asked, &set, rotors),
         Some("covert") if rotors => return rotors::covert(question, &asked, &set),

@@ -6,10 +6,9 @@ use plumbline_core::attack::Bounds;
 use plumbline_core::control::gains::Examiner;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::policy::MarginPolicy;
-use plumbline_core::estimate::lanes::lateral::Aid;
-use plumbline_core::estimate::lanes::linear::{SLOT, Shaken};
+use plumbline_core::estimate::lanes::lateral::{Aid, Swing};
+use plumbline_core::estimate::lanes::linear::{ROWS, SLOT, Shaken};
 use plumbline_core::model::airframe::Airframe;
-use plumbline_core::sensor::MAX_HEIGHTS;
 use plumbline_core::sensor::suite::{PRESETS, Suite};
 use plumbline_core::types::TICK_RATE_HZ;
 use plumbline_proto::ids::SensorId;
@@ -121,8 +120,7 @@ fn near_m(of: &Attacked<'_>, horizon_s: f64) -> Result<f64, EnvelopeError> {
         return Ok(0.0);
     }
     let schedule = of.flying.schedule()?;
-    let sampled =
-        |slot: &&[Option<f64>; MAX_HEIGHTS]| of.heights.iter().any(|i| slot.get(*i).is_some_and(Option::is_some));
+    let sampled = |slot: &&[Option<f64>; ROWS]| of.heights.iter().any(|i| slot.get(*i).is_some_and(Option::is_some));
     let slots = (of.period_s(horizon_s) / SLOT).round() as usize;
     let samples = schedule.iter().cycle().take(slots).filter(sampled).count();
     // Two are as far from their mean as each other.
@@ -274,12 +272,9 @@ impl Asked {
             let added = match more.as_str() {
                 "height" => suite.add(SensorKind::Height),
                 "imu" => suite.add(SensorKind::Imu),
-                "gnss" if axis.is_some() => suite.add(SensorKind::Gnss),
-                "pose" if axis.is_some() => suite.add(SensorKind::MocapPose),
-                _ => {
-                    let known = "it must be height or imu, with axis x or y also gnss or pose";
-                    return Err(wrong("more", format!("is {more:.40?}, {known}")));
-                }
+                "gnss" => suite.add(SensorKind::Gnss),
+                "pose" => suite.add(SensorKind::MocapPose),
+                _ => return Err(wrong("more", format!("is {more:.40?}, it must be height, imu, gnss or pose"))),
             };
             if !added {
                 return Err(wrong("more", format!("is {more}, there is no place for another")));
@@ -314,20 +309,21 @@ impl Asked {
         };
         let flying = Loop::new(&suite, &airframe, &law, tick_rate_hz, shaken, most)?;
         let without = match axis {
-            None => named("without", &question.without, &flying.sensors)?,
+            None => named("without", &question.without, &flying.used().collect::<Vec<_>>())?,
             Some(_) => Vec::new(),
         };
         let mut flying = flying.without(&without)?;
-        if let Some(heave) = &question.heave {
-            if axis.is_some() {
-                return Err(wrong("heave", "is along z: x and y have none".into()));
-            }
-            flying = flying.heaving(heave.amplitude_m, heave.period_s)?;
+        if let Some(swing) = question.swing.filter(|_| axis.is_none()) {
+            flying = flying.heaving(swing.amplitude_m, swing.period_s)?;
         }
         let lateral = axis.map(|axis| {
             let without = named("without", &question.without, &lateral::sensors(&suite))?;
             let most = (bounds.accel_max_mps2, bounds.rate_max_radps);
-            Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, shaken.noise_mps2, most, axis)
+            let lateral = Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, shaken.noise_mps2, most, axis)?;
+            match question.swing {
+                Some(swing) => lateral.swinging(Swing { amplitude_m: swing.amplitude_m, period_s: swing.period_s }),
+                None => Ok(lateral),
+            }
         });
         let lateral = lateral.transpose()?;
         let sets = sets_of(question, lateral.as_ref().map_or(&flying.sensors, |lateral| &lateral.sensors))?;

@@ -6,7 +6,7 @@ use plumbline_analysis::envelope::prototype::Prototype;
 use plumbline_analysis::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
 use plumbline_proto::ids::SensorId;
-use plumbline_rest::envelope::{EnvelopeMultiplier, EnvelopeQuestion, EnvelopeSet};
+use plumbline_rest::envelope::{EnvelopeMultiplier, EnvelopeQuestion, EnvelopeSet, Swing};
 
 fn of(lasers: usize, attacked: usize, imus: usize, gate_only: bool) -> Prototype {
     let (attacked_lasers, attacked_imus) = ((0..attacked).collect(), (0..imus).collect());
@@ -169,8 +169,9 @@ fn by_clarabel(program: &Program) -> f64 {
 
 #[test]
 fn another_solver_finds_the_same_optima() {
+    let posed = asked(EnvelopeQuestion { more: Some("pose".into()), ..EnvelopeQuestion::default() }).unwrap();
     let asked = asked(EnvelopeQuestion::default()).unwrap();
-    for n in 0..12usize {
+    for n in 0..13usize {
         let deviation = if n == 4 { Deviation::Speed } else { Deviation::Place };
         let horizon_s = if n < 10 { 3.0 + 0.2 * n as f64 } else { 3.0 };
         let program = if n % 2 == 0 && n < 10 {
@@ -180,11 +181,12 @@ fn another_solver_finds_the_same_optima() {
                 9 => &asked.flying.sensors[..2],
                 // Squares of the vote and of evidence.
                 10 => &asked.flying.sensors[3..4],
-                11 => &asked.flying.sensors[4..6],
+                11 | 12 => &asked.flying.sensors[4..6],
                 _ => &asked.flying.sensors[n % 3..=n % 3],
             };
             let regime = if n == 9 { Regime::Outvoted } else { Regime::Full };
-            program(&asked.flying.attacked(set, regime).unwrap(), horizon_s, deviation)
+            let flying = if n == 12 { &posed.flying } else { &asked.flying };
+            program(&flying.attacked(set, regime).unwrap(), horizon_s, deviation)
         }
         .unwrap();
         let (bound, theirs) = (program.solve().unwrap(), by_clarabel(&program));
@@ -308,10 +310,14 @@ fn every_set_has_a_tilt_and_a_velocity_or_nobody_who_judges_it() {
 #[test]
 fn horizontal_programs_are_those_of_another_solver() {
     let imu = ["imu 1".parse().unwrap()];
-    for (axis, more, deviation) in
-        [("x", None, Deviation::Tilt), ("y", Some("pose"), Deviation::Place), ("x", Some("gnss"), Deviation::Speed)]
-    {
-        let asked = asked(aside(axis, more)).unwrap();
+    let swing = Some(Swing { amplitude_m: 0.5, period_s: 4.0 });
+    for (axis, more, swing, deviation) in [
+        ("x", None, None, Deviation::Tilt),
+        ("y", Some("pose"), None, Deviation::Place),
+        ("y", Some("pose"), swing, Deviation::Place),
+        ("x", Some("gnss"), None, Deviation::Speed),
+    ] {
+        let asked = asked(EnvelopeQuestion { swing, ..aside(axis, more) }).unwrap();
         let program = asked.lateral.unwrap().program(&imu, 3.0, deviation).unwrap().unwrap();
         let (bound, theirs) = (program.solve().unwrap(), by_clarabel(&program));
         println!("{axis} {more:?} {deviation:?}: {} ≤ {theirs} ≤ {}", bound.reached, bound.upper);
@@ -346,9 +352,16 @@ fn what_cannot_be_bounded_says_why_with_the_value() {
         let refusal = refused(EnvelopeQuestion { proof: true, ..unnamed });
         assert_eq!(refusal, "proof is true, it is told of one set of `sensors` along z");
     }
-    assert!(
-        refused(EnvelopeQuestion { axis: None, ..aside("x", Some("pose")) }).contains("with axis x or y also gnss")
+    assert_eq!(
+        refused(EnvelopeQuestion { more: Some("sonar".into()), ..question() }),
+        "more is \"sonar\", it must be height, imu, gnss or pose"
     );
+    let swinging = |more: Option<&str>, amplitude_m: f64, period_s: f64| {
+        refused(EnvelopeQuestion { swing: Some(Swing { amplitude_m, period_s }), ..aside("x", more) })
+    };
+    assert!(swinging(None, 0.5, 4.0).starts_with("sensors that measure the position is 0"));
+    assert!(swinging(Some("pose"), 2.0, 4.0).starts_with("amplitude_m is 2"));
+    assert!(swinging(Some("pose"), 0.5, 4.01).starts_with("period_s is 4.01"));
     let located = EnvelopeQuestion { sensors: of(&["height 1"]), ..aside("x", Some("gnss")) };
     assert!(refused(located).ends_with("imu 1, imu 2, imu 3, imu 4, gnss 1"));
     assert!(refused(EnvelopeQuestion { noise_mps2: Some(-1.0), ..question() }).contains("-1"));

@@ -8,14 +8,15 @@ use super::account::AGREED;
 use super::evidence::{Evidence, Heard};
 use super::heights::Heights;
 use super::integral::Six;
+use super::linear::ROWS;
 use super::vote::Vote;
 use crate::sensor::MAX_HEIGHTS;
 
 /// What a lane made of a slot.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct LaneHeard {
-    /// Innovations of the heights sampled, over their one-sigma.
-    pub innovations: [Option<f64>; MAX_HEIGHTS],
+    /// Innovations of what was sampled, over their one-sigma.
+    pub innovations: [Option<f64>; ROWS],
     /// Specific force along z, less that of all, m/s².
     pub force_mps2: f64,
     /// What of it the lane holds for its bias, m/s².

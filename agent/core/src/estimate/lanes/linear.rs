@@ -2,7 +2,6 @@
 //! lane that flies, and the limits of its judges, each the constant in use.
 
 use nalgebra::{SMatrix, UnitQuaternion, Vector3};
-use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
@@ -14,17 +13,26 @@ pub use super::noise::Shaken;
 use super::rows::{self, Around, Correction, Unaided};
 use super::slot::Slot;
 use super::{HORIZON_US, SLOT_S, SLOT_US, noise, rates, split, vote};
-use crate::estimate::Residuals;
+use crate::estimate::aiding::{VELOCITY, XYZ};
 use crate::estimate::ekf_bias::covariance::ix;
+use crate::estimate::{Residual, Residuals};
+use crate::sensor::gnss::GnssSample;
 use crate::sensor::measure::Kinematics;
+use crate::sensor::mocap_pose::MocapPoseSample;
 use crate::sensor::{MAX_HEIGHTS, SensorModel};
 
 /// Altitude, climb and bias of the accelerometer's z.
 pub const STATES: usize = 3;
-/// After a slot: those three, then the innovation of each height.
-pub const OUTPUTS: usize = STATES + MAX_HEIGHTS;
-/// Before it: those three, the mean specific force along z, each height.
-pub const INPUTS: usize = STATES + 1 + MAX_HEIGHTS;
+/// What measures along z: each height, the altitude by motion capture (m), the climb by GNSS (m/s).
+pub const ROWS: usize = MAX_HEIGHTS + 2;
+/// Place of motion capture among them, and of GNSS.
+pub const POSE: usize = MAX_HEIGHTS;
+/// See [`POSE`].
+pub const GNSS: usize = MAX_HEIGHTS + 1;
+/// After a slot: those three, then the innovation of each row.
+pub const OUTPUTS: usize = STATES + ROWS;
+/// Before it: those three, the mean specific force along z, each row as measured.
+pub const INPUTS: usize = STATES + 1 + ROWS;
 
 /// A slot, s, and how far the fusion horizon lies back, s.
 pub const SLOT: f64 = SLOT_S;
@@ -36,8 +44,8 @@ pub const HORIZON_S: f64 = 1e-6 * HORIZON_US as f64;
 pub struct SlotMap {
     /// Outputs from inputs: m, m/s, m/s².
     pub map: SMatrix<f64, OUTPUTS, INPUTS>,
-    /// One-sigma of the innovation of each height that was sampled, m.
-    pub sigma_m: [Option<f64>; MAX_HEIGHTS],
+    /// One-sigma of the innovation of each row that was sampled, m and m/s.
+    pub sigma_m: [Option<f64>; ROWS],
 }
 
 /// Limits of the judges of heights; see `heights.rs` and `split.rs`.
@@ -165,13 +173,28 @@ impl<'a> Hovering<'a> {
         residuals
     }
 
-    fn slot(&self, number: u64, ages_s: &[Option<f64>; MAX_HEIGHTS], off_m: &[f64; MAX_HEIGHTS]) -> Slot {
+    fn slot(&self, number: u64, ages_s: &[Option<f64>; ROWS], off: &[f64; ROWS]) -> Slot {
         let mut slot = Slot { number, ..Slot::default() };
         let end_us = slot.end().0;
-        for ((place, age_s), off_m) in slot.heights.iter_mut().zip(ages_s).zip(off_m) {
-            let time = |age_s: f64| FlightTime(end_us.saturating_sub((1e6 * age_s).round() as u64));
+        let time = |age_s: f64| FlightTime(end_us.saturating_sub((1e6 * age_s).round() as u64));
+        for ((place, age_s), off_m) in slot.heights.iter_mut().zip(ages_s).zip(off) {
             *place = age_s.map(|age_s| (time(age_s), self.z_m + off_m));
         }
+        slot.pose = ages_s[POSE].map(|age_s| MocapPoseSample {
+            time: time(age_s),
+            position_enu_m: Vector3::z() * (self.z_m + off[POSE]),
+            world_from_body: UnitQuaternion::identity(),
+        });
+        // Of its position nothing is used along z where heights tell more.
+        slot.gnss = ages_s[GNSS].map(|age_s| GnssSample {
+            time: time(age_s),
+            position_enu_m: Vector3::z() * self.z_m,
+            velocity_enu_mps: Vector3::z() * off[GNSS],
+            geodetic: [0.0; 3],
+            horizontal_sigma_m: 1.0,
+            vertical_sigma_m: 1.0,
+            satellites: 0,
+        });
         slot
     }
 
@@ -179,24 +202,23 @@ impl<'a> Hovering<'a> {
     fn outputs(
         &self,
         number: u64,
-        ages_s: &[Option<f64>; MAX_HEIGHTS],
+        ages_s: &[Option<f64>; ROWS],
         x: &[f64; INPUTS],
     ) -> (Lane, [f64; OUTPUTS], Residuals) {
         let mut lane = self.lane.clone();
         lane.at.position_enu_m.z += x[0];
         lane.at.velocity_enu_mps.z += x[1];
         lane.accel_bias.z += x[2];
-        let off_m = std::array::from_fn(|i| x[STATES + 1 + i]);
+        let off = std::array::from_fn(|i| x[STATES + 1 + i]);
         let mean = Six::new(0.0, 0.0, x[STATES], 0.0, 0.0, 0.0);
-        let residuals = self.step(&mut lane, &self.slot(number, ages_s, &off_m), mean, None);
+        let residuals = self.step(&mut lane, &self.slot(number, ages_s, &off), mean, None);
         let mut out = [0.0; OUTPUTS];
         out[0] = lane.at.position_enu_m.z - self.z_m;
         out[1] = lane.at.velocity_enu_mps.z;
         out[2] = lane.accel_bias.z;
         for residual in &residuals {
-            let i = usize::from(residual.sensor.instance.saturating_sub(1));
-            if residual.sensor.kind == SensorKind::Height && i < MAX_HEIGHTS {
-                out[STATES + i] = residual.innovation;
+            if let Some(row) = row_of(residual) {
+                out[STATES + row] = residual.innovation;
             }
         }
         (lane, out, residuals)
@@ -245,10 +267,10 @@ impl<'a> Hovering<'a> {
 }
 
 /// The maps of the slots of one cycle, covariance steady: `ages_s` tells for each slot of it how long before the slot's end each
-/// height was sampled, s; the heights weigh `weights`, at altitude `z_m`. Of what is added to an accelerometer alone [`Shaken::own`] counts.
+/// row was sampled, s; the heights weigh `weights`, at altitude `z_m`. Of what is added to an accelerometer alone [`Shaken::own`] counts.
 pub fn cycle(
     model: &SensorModel,
-    ages_s: &[[Option<f64>; MAX_HEIGHTS]],
+    ages_s: &[[Option<f64>; ROWS]],
     weights: &[f64; MAX_HEIGHTS],
     shaken: &Shaken,
     z_m: f64,
@@ -256,7 +278,7 @@ pub fn cycle(
     let mut hovering = Hovering::new(model, weights, shaken, z_m, None);
     let period = ages_s.len().max(1);
     let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| {
-        let none = [None; MAX_HEIGHTS];
+        let none = [None; ROWS];
         hovering.outputs(number, ages_s.get(number as usize % period).unwrap_or(&none), x)
     };
     let maps = hovering.maps(period, &VERTICAL, outputs);
@@ -266,8 +288,8 @@ pub fn cycle(
 /// What the lane of an attacked IMU differs from those of healthy ones by in a slot.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Differing {
-    /// Of each height that was sampled: what its innovation differs by, and the one-sigma that the lane gives it, m.
-    pub innovations: [Option<(f64, f64)>; MAX_HEIGHTS],
+    /// Of each row that was sampled: what its innovation differs by, and the one-sigma that the lane gives it, m and m/s.
+    pub innovations: [Option<(f64, f64)>; ROWS],
     /// What its bias of the accelerometer's z differs by, m/s².
     pub bias_mps2: f64,
 }
@@ -287,7 +309,7 @@ pub struct Measured {
 /// it begins. Its noise is `measured` on as in flight: the step of a bias is taken for noise for a while, which gives heights more weight.
 pub fn differing(
     model: &SensorModel,
-    ages_s: &[[Option<f64>; MAX_HEIGHTS]],
+    ages_s: &[[Option<f64>; ROWS]],
     weights: &[f64; MAX_HEIGHTS],
     measured: &Measured,
     z_m: f64,
@@ -297,7 +319,7 @@ pub fn differing(
     let begin = Shaken { noise_mps2: noise.first().copied().unwrap_or_default(), ..measured.shaken };
     let mut hovering = Hovering::new(model, weights, &begin, z_m, None);
     let period = ages_s.len().max(1);
-    let none = [None; MAX_HEIGHTS];
+    let none = [None; ROWS];
     let ages = |number: u64| ages_s.get(number as usize % period).unwrap_or(&none);
     let outputs = |hovering: &Hovering, number: u64, x: &[f64; INPUTS]| hovering.outputs(number, ages(number), x);
     hovering.maps(period, &VERTICAL, outputs);
@@ -333,12 +355,21 @@ pub fn noise_course(measured: &Measured, added_mps2: &[f64]) -> Vec<f64> {
     added_mps2.iter().map(after).collect()
 }
 
-/// One-sigma of the innovation of each height, m.
-fn sigmas(residuals: &Residuals) -> [Option<f64>; MAX_HEIGHTS] {
-    std::array::from_fn(|i| {
-        let id = SensorId::new(SensorKind::Height, i as u8 + 1);
-        residuals.iter().find(|residual| residual.sensor == id).map(|residual| residual.sigma)
-    })
+/// Its place among the rows.
+fn row_of(residual: &Residual) -> Option<usize> {
+    let height = usize::from(residual.sensor.instance.checked_sub(1)?);
+    match (residual.sensor.kind, residual.channel) {
+        (SensorKind::Height, _) => Some(height).filter(|i| *i < MAX_HEIGHTS),
+        (SensorKind::MocapPose, channel) if channel == XYZ[2] => Some(POSE),
+        (SensorKind::Gnss, channel) if channel == VELOCITY[2] => Some(GNSS),
+        _ => None,
+    }
+}
+
+/// One-sigma of the innovation of each row.
+fn sigmas(residuals: &Residuals) -> [Option<f64>; ROWS] {
+    let of = |row: usize| residuals.iter().find(|residual| row_of(residual) == Some(row));
+    std::array::from_fn(|row| of(row).map(|residual| residual.sigma))
 }
 
 /// Number of the slot that a sample at `time_s` belongs to, and how long before its end it was, s.
@@ -354,7 +385,8 @@ mod tests {
     #[test]
     fn a_slot_moves_by_its_force_and_towards_its_heights() {
         let model = SensorModel::default();
-        let mut ages = [[None; MAX_HEIGHTS]; 5];
+        let mut ages = [[None; ROWS]; 5];
+        (ages[3][POSE], ages[4][GNSS]) = (Some(0.01), Some(0.02));
         (ages[0][0], ages[2][0]) = (Some(0.04), Some(0.02));
         let maps = cycle(&model, &ages, &[1.0; MAX_HEIGHTS], &Shaken::default(), 1.0);
         assert_eq!(maps.len(), 5);
@@ -373,5 +405,10 @@ mod tests {
         close(seen[(STATES, STATES + 1)], 1.0);
         close(seen[(STATES, 0)], -1.0);
         close(seen[(0, 0)] + gain, 1.0);
+        // Motion capture pulls harder, GNSS at the climb.
+        let (posed, timed) = (&maps[3].map, &maps[4].map);
+        assert!(posed[(0, STATES + 1 + POSE)] > 2.0 * gain, "{posed:.3}");
+        close(posed[(STATES + POSE, STATES + 1 + POSE)], 1.0);
+        assert!(timed[(1, STATES + 1 + GNSS)] > 0.01 && maps[4].sigma_m[GNSS].is_some(), "{timed:.3}");
     }
 }
