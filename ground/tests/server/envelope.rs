@@ -36,7 +36,7 @@ async fn a_set_is_answered_once_and_what_is_wrong_is_named() {
         (r#"{"sensors":["height 9"]}"#, "sensor height 9 is not one that this loop uses: height 1, "),
         (r#"{"most":12}"#, "a set of 12 sensors: this loop uses 7"),
         (r#"{"suite":"moon"}"#, "moon"),
-        (r#"{"more":"sonar"}"#, "it must be height or imu"),
+        (r#"{"more":"sonar"}"#, "it must be height, imu, gnss or pose"),
         (r#"{"without":["height 7"]}"#, "sensor height 7 is not one that this loop uses"),
         (
             r#"{"without":["imu 1","imu 2","imu 3","imu 4"]}"#,

@@ -103,7 +103,7 @@ fn optimal(
     let solved = |deviation| {
         let unjudged =
             || wrong("sensors", "are judged by nobody along this axis, so there is no largest attack".into());
-        lateral.program(set, horizon_s, deviation)?.ok_or_else(unjudged)?.solve()
+        Ok::<_, EnvelopeError>(lateral.bound(set, horizon_s, deviation)?.ok_or_else(unjudged)?.0)
     };
     let tilt = solved(Deviation::Tilt)?;
     if tilt.upper > SMALL_RAD {

@@ -296,6 +296,14 @@ impl Loop {
     }
 }
 
+impl Attacked<'_> {
+    /// How far what is added to an accelerometer counts before anybody has judged it, m/s²: of a minority. Later the vote limits it to less.
+    fn reach_mps2(&self) -> f64 {
+        let minority = 2 * self.imus.len() < self.flying.imus;
+        if minority { of_imus::reach_mps2(&self.flying.shaken) } else { f64::INFINITY }
+    }
+}
+
 /// From the horizon to now.
 struct Predictor {
     now: [Signal; 2],
@@ -344,7 +352,7 @@ impl Model for Attacked<'_> {
             let every_s = of.timing.get(*i).copied().flatten().map_or(1.0, |(rate_hz, _)| 1.0 / rate_hz);
             (SensorId::new(SensorKind::Height, *i as u8 + 1), every_s, of.most.0)
         };
-        let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), SLOT, of.most.1);
+        let imu = |i: &usize| (SensorId::new(SensorKind::Imu, *i as u8 + 1), SLOT, of.most.1.min(self.reach_mps2()));
         self.heights.iter().map(height).chain(self.imus.iter().map(imu)).collect()
     }
 
@@ -445,8 +453,10 @@ impl Running<'_> {
         self.vehicle.step(&self.predictor.now, self.width);
         // What the accelerometers feel of this tick.
         let mut grown = &self.vehicle.x[1] - before;
+        let reach_mps2 = self.of.reach_mps2();
         for i in &self.of.imus {
-            grown.axpy(tick_s * self.bank.share * self.of.flying.shaken.own(), &self.added(*i, tick / per_slot), 1.0);
+            let counted = self.added(*i, tick / per_slot).map(|x| x.clamp(-reach_mps2, reach_mps2));
+            grown.axpy(tick_s * self.bank.share * self.of.flying.shaken.own(), &counted, 1.0);
         }
         Predictor::follow(&mut self.predictor.now, &grown, &self.predictor.bias, tick_s);
         self.predictor.grown.push_back(grown);

@@ -29,8 +29,8 @@ use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
 use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white};
 use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted};
-use super::program::{Memory, Program, Statistic};
-use super::{Deviation, EnvelopeError, Model, Response, Signal, program};
+use super::program::{Bound, Memory, Program, Statistic};
+use super::{Deviation, EnvelopeError, Model, Response, Signal, program_after};
 
 /// The loop along one axis, whoever is attacked.
 #[derive(Debug, Clone)]
@@ -60,6 +60,9 @@ pub struct Lateral {
     /// What is flown, where it is no hover.
     swing: Option<Swing>,
 }
+
+/// The deviation is followed for so many slots after the attack has ended: tilt and velocity go on.
+const AFTER_SLOTS: usize = 4;
 
 /// A swing is small enough to be followed up to this tilt, rad …
 const LEAN_RAD: f64 = 0.2;
@@ -164,6 +167,9 @@ impl Lateral {
         let usual = (usual_mps2(measured_mps2), of_imus::USUAL_RADPS);
         let lane = (model, airframe.clone(), gnss_sigma_m);
         let raised = OnceLock::new();
+        // What a minority adds counts no further than this before anybody has judged it, and later the vote limits it to less.
+        let reach_mps2 = of_imus::reach_mps2(&Shaken { noise_mps2: measured_mps2, rectified_mps2: 0.0 });
+        let most = (most.0.min(reach_mps2), most.1.min(of_imus::REACH_RADPS));
         let noise = (noise_mps2, measured_mps2);
         Ok(Self {
             sensors: used,
@@ -230,7 +236,30 @@ impl Lateral {
         self.raised.get_or_init(|| RAISED.iter().map(|part| self.cycle(*part)).collect())
     }
 
-    /// The program of the largest `deviation` by an attack on `attacked`; `None` where nobody judges them.
+    /// The largest `deviation` by an attack on `attacked` until the judges have heard of all of it, and its program; `None` where nobody judges
+    /// them.
+    ///
+    /// # Errors
+    /// [`EnvelopeError`].
+    pub fn bound(
+        &self,
+        attacked: &[SensorId],
+        horizon_s: f64,
+        deviation: Deviation,
+    ) -> Result<Option<(Bound, Program)>, EnvelopeError> {
+        let mut largest: Option<(Bound, Program)> = None;
+        for after in 0..=AFTER_SLOTS {
+            let Some(program) = self.program(attacked, horizon_s, deviation, after)? else { return Ok(None) };
+            let bound = program.solve()?;
+            if largest.as_ref().is_none_or(|(before, _)| bound.upper > before.upper) {
+                largest = Some((bound, program));
+            }
+        }
+        Ok(largest)
+    }
+
+    /// The program of the largest `deviation` so many slots `after` the horizon, at which the attack ends; `None` where nobody judges
+    /// `attacked`.
     ///
     /// # Errors
     /// [`EnvelopeError`].
@@ -239,14 +268,16 @@ impl Lateral {
         attacked: &[SensorId],
         horizon_s: f64,
         deviation: Deviation,
+        after: usize,
     ) -> Result<Option<Program>, EnvelopeError> {
         let model = Attacked { of: self, imus: self.those_of(attacked), aid: None };
         if model.imus.is_empty() {
             return Err(EnvelopeError::Value { what: "sensors attacked", value: 0.0, expected: "at least 1" });
         }
-        let told = self.aid != Aid::None && self.imus >= model.imus.len() + 2;
-        let judged = model.imus.iter().all(|sensor| sensor.kind == SensorKind::Imu) && (model.is_minority() || told);
-        judged.then(|| program(&model, horizon_s, deviation)).transpose()
+        let judged = model.imus.iter().all(|sensor| sensor.kind == SensorKind::Imu) && model.is_minority();
+        // A slot is closed a horizon after its end, so at most a horizon and a slot are in the loop that nobody has heard of; whole slots are.
+        let heard_s = horizon_s - HORIZON_S - SLOT + 1e-6;
+        judged.then(|| program_after(&model, horizon_s, deviation, after, heard_s)).transpose()
     }
 
     /// What an `attack` of [`Self::program`] adds, by channels of a schedule: one value for each [`SLOT`], m/s² and rad/s.
@@ -461,13 +492,16 @@ impl Running<'_> {
         [(self.attack)(imu, 2 * number) * most.0, (self.attack)(imu, 2 * number + 1) * most.1]
     }
 
-    /// Mean of what is added to all IMUs.
+    /// Mean of what is added to all IMUs, of a minority as far as it counts before anybody has judged it.
     fn shared(&self, number: usize) -> [Signal; 2] {
-        let share = 1.0 / self.lateral().imus as f64;
+        let (share, most) = (1.0 / self.lateral().imus as f64, self.lateral().most);
         let none = [Signal::zeros(self.width), Signal::zeros(self.width)];
+        let counted = |added: Signal, most: f64| {
+            if self.of.is_minority() { added.map(|x| x.clamp(-most, most)) } else { added }
+        };
         self.of.imus.iter().fold(none, |[force, rate], imu| {
             let [a, w] = self.added(*imu, number);
-            [force + a * share, rate + w * share]
+            [force + counted(a, most.0) * share, rate + counted(w, most.1) * share]
         })
     }
 

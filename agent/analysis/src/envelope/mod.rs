@@ -32,6 +32,7 @@ pub mod sets;
 pub mod theory;
 
 use nalgebra::DVector;
+use plumbline_core::estimate::lanes::linear::SLOT;
 use plumbline_core::linalg::LinalgError;
 use plumbline_proto::ids::SensorId;
 
@@ -190,6 +191,20 @@ pub fn columns(model: &dyn Model, horizon_s: f64) -> Vec<(SensorId, usize, usize
 /// # Errors
 /// As [`Model::respond`].
 pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Result<Program, EnvelopeError> {
+    program_after(model, horizon_s, deviation, 0, f64::INFINITY)
+}
+
+/// The same for the deviation so many slots after the horizon, at which the attack ends; the judges hear of slots that end by `heard_s`.
+///
+/// # Errors
+/// As [`Model::respond`].
+pub fn program_after(
+    model: &dyn Model,
+    horizon_s: f64,
+    deviation: Deviation,
+    after: usize,
+    heard_s: f64,
+) -> Result<Program, EnvelopeError> {
     let period_s = model.period_s(horizon_s);
     let (all, own) = (columns(model, horizon_s), columns(model, period_s));
     let width = |of: &[(SensorId, usize, usize)]| of.iter().map(|(_, _, count)| count).sum::<usize>();
@@ -209,7 +224,7 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
         }
         signal
     };
-    let response = model.respond(horizon_s, width(&own), &unit)?;
+    let response = model.respond(horizon_s + after as f64 * SLOT, width(&own), &unit)?;
     let followed = match deviation {
         Deviation::Place => response.place_m,
         Deviation::Speed => response.speed_mps,
@@ -217,7 +232,7 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
         Deviation::Apart(i, _) => response.apart_m.iter().filter_map(|(_, of)| of.get(i).cloned()).collect(),
     };
     // Places of a period in what is followed, and in what is judged.
-    let slots = (followed.len() as f64 * period_s / horizon_s).round() as usize;
+    let slots = (followed.len().saturating_sub(after) as f64 * period_s / horizon_s).round() as usize;
     let judged = response.statistics.iter().take_while(|s| s.time_s < period_s + 1e-9).count();
     let row = |at: usize, places: usize, heard: &dyn Fn(usize) -> Option<Signal>| {
         let mut row = Signal::zeros(width(&all));
@@ -234,7 +249,7 @@ pub fn program(model: &dyn Model, horizon_s: f64, deviation: Deviation) -> Resul
     let last = followed.len().saturating_sub(1 + before);
     let until_s = match deviation {
         Deviation::Apart(..) => response.apart_m.get(last).map_or(0.0, |(time_s, _)| *time_s),
-        _ => f64::INFINITY,
+        _ => heard_s,
     };
     let heard = |at: usize| response.statistics.get(at).map(|s| s.row.clone());
     let statistics = response.statistics.iter().enumerate().filter(|(_, s)| s.time_s < until_s - 1e-9);

@@ -38,6 +38,8 @@ const MOST: usize = 3;
 pub(super) const SMALL_RAD: f64 = 0.35;
 /// Further from hover than this it says nothing either, m.
 const NEAR_HOVER_M: f64 = 1.0;
+/// What holds half of the IMUs where something else tells lanes apart.
+const UNJUDGED: &str = "nothing: no majority of IMUs votes";
 /// What holds a bound that no detector holds.
 const MOST_ADDED: &str = "most that may be added";
 
@@ -52,6 +54,8 @@ pub enum Verdict {
     Bounded(Bound, Box<Program>),
     /// There is no bound: it can drift silently as fast, m/s.
     Unbounded(f64),
+    /// None is told: half of the IMUs or more, which no vote judges, jump further than what motion capture or GNSS holds against a lane at once.
+    Unjudged,
 }
 
 /// What is found of a set.
@@ -76,6 +80,9 @@ pub fn verdict(
     deviation: Deviation,
 ) -> Result<Found, EnvelopeError> {
     let mut full = flying.attacked(sensors, Regime::Full)?;
+    if flying.aiding().is_some() && 2 * full.imus.len() >= flying.count(SensorKind::Imu) {
+        return Ok(Found { verdict: Verdict::Unjudged, regime: Regime::Full, end_s: horizon_s });
+    }
     full.near_m = near_m(&full, horizon_s)?;
     let heights = flying.count(SensorKind::Height);
     if full.heights.len() == heights
@@ -191,7 +198,7 @@ pub fn largest_m(
         }
         match verdict(flying, &set, horizon_s, Deviation::Place)?.verdict {
             Verdict::Bounded(bound, _) if bound.upper <= NEAR_HOVER_M => largest_m = largest_m.max(bound.upper),
-            Verdict::Bounded(..) | Verdict::Unbounded(_) => return Ok(None),
+            Verdict::Bounded(..) | Verdict::Unbounded(_) | Verdict::Unjudged => return Ok(None),
         }
         known.push(class(&set));
     }
@@ -425,8 +432,8 @@ fn aside(lateral: &Lateral, set: &[SensorId], horizon_s: f64) -> Result<Envelope
     let mut told = EnvelopeSet::default();
     let mut reached = f64::INFINITY;
     let mut of = |deviation| {
-        let bound = lateral.program(set, horizon_s, deviation)?.map(|program| program.solve()).transpose()?;
-        Ok::<_, EnvelopeError>(bound.map(|bound| {
+        let bound = lateral.bound(set, horizon_s, deviation)?;
+        Ok::<_, EnvelopeError>(bound.map(|(bound, _)| {
             reached = f64::min(reached, bound.reached / bound.upper);
             let binding = bound.binding.unwrap_or(MOST_ADDED).to_owned();
             (bound.upper, binding)
@@ -458,6 +465,7 @@ fn told(verdict: &Verdict) -> EnvelopeSet {
             binding: Some(bound.binding.unwrap_or(MOST_ADDED).to_owned()),
             ..EnvelopeSet::default()
         },
+        Verdict::Unjudged => EnvelopeSet { binding: Some(UNJUDGED.to_owned()), ..EnvelopeSet::default() },
         Verdict::Unbounded(drift_mps) => EnvelopeSet { drift_mps: Some(*drift_mps), ..EnvelopeSet::default() },
     }
 }

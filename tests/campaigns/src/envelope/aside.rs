@@ -51,17 +51,17 @@ fn flown(
             let tries = bounds.all_worst(of, which).map(|(part, worn)| (part, fly(&worn)));
             let unseen = tries.filter(|(_, flight)| flight.seen.is_none());
             let unseen = unseen.map(|(part, flight)| (part, reached(&flight, set, which)));
-            let (part, most) = unseen.fold((0.0, 0.0), |best, one| if one.1 > best.1 { one } else { best });
+            let (held, most) = unseen.fold(((0.0, 0.0), 0.0), |best, one| if one.1 > best.1 { one } else { best });
             let more = json!({
-                "bound": of.bounds[which], "unit": unit, "evidence": part, "target": REACHED,
+                "bound": of.bounds[which], "unit": unit, "limits": held, "target": REACHED,
                 "holds": (REACHED..=LINEAR).contains(&most),
             });
             report.value(&format!("sideways/{name}/worst/{}/{pushed}", of.name()), most, "of the bound", more);
             let bound = format!("{:.4} {unit}", of.bounds[which]);
-            rows.push(vec![of.name(), pushed.into(), bound, format!("{part:.1}"), format!("{most:.3}")]);
+            rows.push(vec![of.name(), pushed.into(), bound, format!("{held:?}"), format!("{most:.3}")]);
         }
     }
-    let headers = ["attacked", "pushed", "bound", "evidence left", "flown, of the bound"];
+    let headers = ["attacked", "pushed", "bound", "limits of evidence, of the rest", "flown, of the bound"];
     report.table(&format!("sideways {name}"), &format!("Maximising sequences: {name}"), &headers, &rows)?;
     let drawn = parallel(effort.flights as usize, |i| {
         let set = i % bounds.sets.len();

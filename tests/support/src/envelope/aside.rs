@@ -1,6 +1,7 @@
 //! Bounds along a horizontal axis under motion capture, and what is flown against them.
 
 use plumbline_agent::attack::{Attack, Kind, Sequence};
+use plumbline_agent::envelope::program::Program;
 use plumbline_agent::envelope::sets::Asked;
 use plumbline_agent::envelope::{Deviation, EVIDENCE, Signal};
 use plumbline_agent::estimate::lanes::linear::SLOT;
@@ -13,8 +14,8 @@ use super::{ONSET_S, Worn, channel_of};
 
 /// How long an attack along x or y lasts, s.
 pub const ASIDE_S: f64 = 5.0;
-/// Of the square root of the evidence at which a lane weighs steeply less.
-const HELD: [f64; 2] = [1.0, 0.4];
+/// Parts of the limits that an attack keeps to: of the root of the evidence at which a lane weighs steeply less, of the others.
+const HELD: [(f64, f64); 2] = [(1.0, 0.95), (0.8, 1.0)];
 /// What is bounded: rad, m/s, m.
 const DEVIATIONS: [Deviation; 3] = [Deviation::Tilt, Deviation::Speed, Deviation::Place];
 
@@ -26,6 +27,7 @@ pub struct AsideSet {
     /// The bounds.
     pub bounds: [f64; 3],
     worst: [Signal; 3],
+    programs: [Program; 3],
 }
 
 impl AsideSet {
@@ -55,11 +57,14 @@ impl Aside {
         let asked = Asked::new(&question, None).unwrap();
         let lateral = asked.lateral.as_ref().unwrap();
         let bounded = |sensors: &Vec<SensorId>| {
-            let solved = |deviation| Some(lateral.program(sensors, ASIDE_S, deviation).unwrap()?.solve().unwrap());
-            let [tilt, speed, place] = DEVIATIONS.map(solved);
+            let [tilt, speed, place] = DEVIATIONS.map(|deviation| lateral.bound(sensors, ASIDE_S, deviation).unwrap());
             let found = [tilt?, speed?, place?];
-            let bounds = [0, 1, 2].map(|i: usize| found[i].upper);
-            Some(AsideSet { sensors: sensors.clone(), bounds, worst: found.map(|bound| bound.attack) })
+            Some(AsideSet {
+                sensors: sensors.clone(),
+                bounds: found.each_ref().map(|(bound, _)| bound.upper),
+                worst: found.each_ref().map(|(bound, _)| bound.attack.clone()),
+                programs: found.map(|(_, program)| program),
+            })
         };
         let sets = asked.sets.iter().filter_map(bounded).collect();
         Self { asked, sets }
@@ -91,16 +96,15 @@ impl Aside {
         self.worn(set, &set.worst[which], part)
     }
 
-    /// What pushes `set` furthest with each of [`HELD`] left to the evidence. A lane weighs less long before it is excluded for what is
-    /// held against it, so an attack that keeps well below that limit may push further.
-    pub fn all_worst<'a>(&'a self, set: &'a AsideSet, which: usize) -> impl Iterator<Item = (f64, Worn)> + 'a {
-        let lateral = self.asked.lateral.as_ref().unwrap();
-        let program = lateral.program(&set.sensors, ASIDE_S, DEVIATIONS[which]).unwrap().unwrap();
-        HELD.into_iter().map(move |part| {
-            let mut program = program.clone();
-            let evidence = program.statistics.iter_mut().filter(|one| one.detector == EVIDENCE);
-            evidence.for_each(|one| one.limit *= part);
-            (part, self.worn(set, &program.solve().unwrap().attack, 1.0))
+    /// What pushes `set` furthest within each of [`HELD`]. A lane weighs less long before it is excluded for what is held against it, so an
+    /// attack that keeps below a limit may push further.
+    pub fn all_worst<'a>(&'a self, set: &'a AsideSet, which: usize) -> impl Iterator<Item = ((f64, f64), Worn)> + 'a {
+        HELD.into_iter().map(move |(evidence, rest)| {
+            let mut program = set.programs[which].clone();
+            for one in &mut program.statistics {
+                one.limit *= if one.detector == EVIDENCE { evidence } else { rest };
+            }
+            ((evidence, rest), self.worn(set, &program.solve().unwrap().attack, 1.0))
         })
     }
 
@@ -118,9 +122,9 @@ impl Aside {
         // By turns an accelerometer's and a gyroscope's, slot after slot, over the most that may be added.
         let count = values.len() / (2 * set.sensors.len());
         for channel in 0..2 * set.sensors.len() {
-            // From what nobody could see to what everybody must.
-            let (least, largest, most): (f64, f64, f64) =
-                if channel % 2 == 0 { (0.05, 3.0, most.0) } else { (0.002, 0.3, most.1) };
+            // From what nobody could see to the most that may be added.
+            let (least, largest, most) =
+                if channel % 2 == 0 { (0.05_f64, 20.0_f64, most.0) } else { (0.002, 5.0, most.1) };
             let sign = if dice.random_bool(0.5) { 1.0 } else { -1.0 };
             let size = sign * dice.random_range(least.ln()..largest.ln()).exp() / most;
             let period_s = dice.random_range(0.5..ASIDE_S);

@@ -129,18 +129,19 @@ impl Lanes {
 
     /// Rate and lead of the attitude at `now`.
     pub(super) fn turn(&mut self, now: FlightTime, dt_s: f64, thrust_mps2: f64) {
-        let (mut rate, mut late_s, mut weights) = (Vector3::zeros(), 0.0, 0.0);
-        let mixture = self.fused.mixture.weights.iter().zip(&self.fused.mixture.biases);
-        for (integral, (weight, bias)) in self.slots.integrals().iter().zip(mixture) {
-            if let Some((time, latest)) = integral.latest(now) {
-                rate += part(&(latest - bias), 3) * *weight;
+        let mixture = &self.fused.mixture;
+        let latest = |i: usize| self.slots.integrals().get(i).and_then(|integral| integral.latest(now));
+        let told = std::array::from_fn(|i| latest(i).map(|(_, latest)| latest - mixture.biases[i]));
+        let (mut late_s, mut weights) = (0.0, 0.0);
+        for (i, weight) in mixture.weights.iter().enumerate() {
+            if let Some((time, _)) = latest(i) {
                 late_s += now.seconds_since(time) * weight;
                 weights += weight;
             }
         }
-        let measured = (weights > 1e-6).then(|| {
+        let measured = mixture.mean(&told, 1.0).map(|mean| {
             let late_us = 1e6 * late_s / weights;
-            (FlightTime(now.0.saturating_sub(late_us as u64)), rate / weights)
+            (FlightTime(now.0.saturating_sub(late_us as u64)), part(&mean, 3))
         });
         let flies = self.thrust.flies(thrust_mps2);
         let turning = flies.then(|| self.thrust.turning_radps2(&self.rates.rate_radps()));

@@ -117,8 +117,8 @@ impl Lanes {
         self.judges.evidence.forgive();
         let there = slot.imus.map(|mean| f64::from(u8::from(mean.is_some())));
         let count: f64 = there.iter().sum();
-        self.fused.mixture =
-            Mixture { weights: there.map(|one| one / count.max(1.0)), biases: found.biases, thrust: 0.0 };
+        let weights = there.map(|one| one / count.max(1.0));
+        self.fused.mixture = Mixture { weights, biases: found.biases, ..Mixture::new() };
         self.fused.at = at;
         self.rebase(slot);
     }
@@ -191,7 +191,7 @@ impl Lanes {
         *square += (rectified[2].powi(2) - *square) * USUAL_GAIN;
         let carried = self.clock.unladen < CARRIED_SLOTS;
         let share = if carried { noise::share(rectified[2]) } else { 0.0 };
-        self.fused.mixture.thrust = share;
+        self.fused.mixture = Mixture { thrust: share, ..self.fused.mixture.shaken(&shaken) };
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
         for (i, (lane, heard)) in self.lanes.iter_mut().zip(&mut heard).enumerate() {
@@ -252,15 +252,9 @@ impl Lanes {
 
     /// Weighted mean of the IMUs less their biases; a vehicle that does not move where there is none.
     pub(super) fn common(&self, means: &PerLane<Option<Six>>) -> Six {
-        let (mut sum, mut weights) = (Six::zeros(), 0.0);
-        for ((mean, lane), weight) in means.iter().zip(&self.lanes).zip(self.fused.mixture.weights) {
-            if let Some(mean) = mean {
-                sum += (mean - lane.biases()) * weight;
-                weights += weight;
-            }
-        }
-        if weights > 1e-6 {
-            return sum / weights;
+        let told = std::array::from_fn(|i| means[i].map(|mean| mean - self.lanes[i].biases()));
+        if let Some(mean) = self.fused.mixture.mean(&told, 1.0) {
+            return mean;
         }
         let up = self.fused.at.world_from_body.inverse() * Vector3::z() * self.model.imus.gravity_mps2;
         Six::new(up.x, up.y, up.z, 0.0, 0.0, 0.0)

@@ -12,7 +12,7 @@ use super::lane::Lane;
 pub use super::noise::Shaken;
 use super::rows::{self, Around, Correction, Unaided};
 use super::slot::Slot;
-use super::{HORIZON_US, SLOT_S, SLOT_US, noise, rates, split, vote};
+use super::{HORIZON_US, SLOT_S, SLOT_US, noise, predictor, rates, split, vote};
 use crate::estimate::aiding::{VELOCITY, XYZ};
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::estimate::{Residual, Residuals};
@@ -80,7 +80,13 @@ pub mod of_heights {
 
 /// Limits of the judges of IMUs; see `vote.rs`, `evidence.rs` and `noise.rs`.
 pub mod of_imus {
-    use super::{evidence, noise, vote};
+    use super::{Shaken, evidence, noise, predictor, vote};
+    /// How far an accelerometer counts from the median of all before anybody has judged it, m/s².
+    pub fn reach_mps2(shaken: &Shaken) -> f64 {
+        predictor::REACH.0.max(predictor::SHAKEN * noise::shaken_mps2(shaken.rectified_mps2))
+    }
+    /// The same of a gyroscope, rad/s, where they are not shaken.
+    pub const REACH_RADPS: f64 = predictor::REACH.1;
     /// Slots that the vote compares.
     pub const SLOTS: usize = vote::SLOTS;
     /// Beyond so many times the usual deviation mean and root mean square count.

@@ -178,7 +178,7 @@ impl Lanes {
             },
             fused: Fused {
                 at: *predictor.now(),
-                mixture: Mixture { weights: [0.0; LANES], biases: [Six::zeros(); LANES], thrust: 0.0 },
+                mixture: Mixture::new(),
                 best: 0,
                 silent: [0; LANES],
                 announced: [false; LANES],

@@ -34,6 +34,11 @@ pub(super) fn rectified(shaken: &Six) -> Six {
     rectified
 }
 
+/// How accelerometers are shaken along z that rectify so much of it, m/s²: the inverse of [`rectified`].
+pub(super) fn shaken_mps2(rectified_mps2: f64) -> f64 {
+    (rectified_mps2 / RECTIFIED).min((rectified_mps2 / RECTIFIED_UP_PER_MPS2).sqrt())
+}
+
 /// Part of the specific force along the thrust that is taken from the thrust as commanded, where accelerometers rectify `rectified_mps2` of
 /// it: the less they say, the more.
 pub(super) fn share(rectified_mps2: f64) -> f64 {
