@@ -149,7 +149,12 @@ const PAGES = {
   compare: [`/flights/${flights.join(',')}`, heading],
   experiments: [`/experiments?experiment=${experiment}`, heading],
   calibrate: ['/calibrate', () => page.getByRole('button', { name: 'Fit and keep' }).waitFor()],
-  setup: ['/setup', () => page.getByRole('region', { name: 'Attack envelope' }).getByText('height 1', { exact: true }).waitFor({ timeout: 60_000 })],
+  setup: ['/setup', async () => {
+    await page.getByRole('region', { name: 'Vehicle' }).getByText('hanging_strings').waitFor();
+    const envelope = page.getByRole('region', { name: 'Attack envelope' });
+    await envelope.getByText('height 1', { exact: true }).waitFor({ timeout: 60_000 });
+    await envelope.getByText(/^motion capture/).waitFor({ timeout: 60_000 });
+  }],
   help: ['/calibrate', async () => {
     await page.getByRole('button', { name: 'Fit and keep' }).waitFor();
     await page.keyboard.press('?');

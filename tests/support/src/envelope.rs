@@ -4,7 +4,7 @@
 
 pub mod aside;
 
-use plumbline_agent::attack::{Attack, Channel, Kind, Sequence};
+use plumbline_agent::attack::{Attack, Bounds as Limits, Channel, Kind, Sequence};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::trajectory::{Shape, Trajectory};
 use plumbline_agent::envelope::flying::Regime;
@@ -123,27 +123,45 @@ impl Worn {
     /// `attack` of a program of `model`, times `part`, within what the agent allows.
     pub fn new(model: &dyn Model, attack: &Signal, part: f64) -> Self {
         let mut worn = Self::default();
-        for ((sensor, first, count), (id, (_, period_s, allowed))) in
-            columns(model, HORIZON_S).into_iter().zip((1..).zip(model.attacked()))
-        {
-            let added: Vec<f64> =
-                attack.rows(first, count).iter().map(|value| (part * value).clamp(-allowed, allowed)).collect();
-            let most = added.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
+        for ((sensor, first, count), (_, period_s, _)) in columns(model, HORIZON_S).into_iter().zip(model.attacked()) {
             let channel = if sensor.kind == SensorKind::Imu { Channel::AccelAxis(2) } else { Channel::All };
-            worn.attacks.push(Attack {
-                id,
-                sensor,
-                channel,
-                kind: Kind::Bias,
-                start_s: ONSET_S,
-                duration_s: HORIZON_S,
-                magnitude: most,
-                seed: 1,
-            });
-            let values = added.into_iter().map(|value| value / most).collect();
-            worn.sequences.push(Sequence { attack: id, period_s, values });
+            worn.add(sensor, channel, HORIZON_S, period_s, attack.rows(first, count).iter().map(|value| part * value));
         }
         worn
+    }
+
+    /// Adds `values` to a sensor, one every `period_s`, within what the agent allows.
+    fn add(
+        &mut self,
+        sensor: SensorId,
+        channel: Channel,
+        duration_s: f64,
+        period_s: f64,
+        values: impl Iterator<Item = f64>,
+    ) {
+        let bounds = Limits::default();
+        let allowed = match channel {
+            Channel::AccelAxis(_) => bounds.accel_max_mps2,
+            Channel::GyroAxis(_) => bounds.rate_max_radps,
+            _ => bounds.length_max_m,
+        };
+        let added: Vec<f64> = values.map(|value| value.clamp(-allowed, allowed)).collect();
+        let magnitude = added.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
+        let id = self.attacks.len() as u32 + 1;
+        let (start_s, kind) = (ONSET_S, Kind::Bias);
+        self.attacks.push(Attack { id, sensor, channel, kind, start_s, duration_s, magnitude, seed: 1 });
+        let values = added.into_iter().map(|value| value / magnitude).collect();
+        self.sequences.push(Sequence { attack: id, period_s, values });
+    }
+}
+
+/// What is added at `time_s` of `length_s`: by `shape` 0 a step, 1 a ramp, 2 a sine, else noise of these `dice`.
+fn drawn_value(shape: usize, time_s: f64, length_s: f64, period_s: f64, dice: &mut Xoshiro256PlusPlus) -> f64 {
+    match shape {
+        0 => 1.0,
+        1 => time_s / length_s,
+        2 => (std::f64::consts::TAU * time_s / period_s).sin(),
+        _ => dice.random_range(-1.0..1.0),
     }
 }
 
@@ -416,15 +434,8 @@ impl Bounds {
             let sign = if dice.random_bool(0.5) { 1.0 } else { -1.0 };
             let size = sign * (dice.random_range(least.ln()..most.ln())).exp();
             let period_s = dice.random_range(0.5..10.0);
-            values.extend((0..count).map(|k| {
-                let t = k as f64 * every_s;
-                size * match shape {
-                    0 => 1.0,
-                    1 => t / HORIZON_S,
-                    2 => (std::f64::consts::TAU * t / period_s).sin(),
-                    _ => dice.random_range(-1.0..1.0),
-                }
-            }));
+            let at = |k| size * drawn_value(shape, k as f64 * every_s, HORIZON_S, period_s, &mut dice);
+            values.extend((0..count).map(at));
         }
         (["step", "ramp", "sine", "noise"][shape], self.worn(set, &Signal::from_vec(values), 1.0))
     }

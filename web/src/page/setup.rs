@@ -124,10 +124,8 @@ pub fn Setup() -> impl IntoView {
     let ctx = ctx();
     let ground = Memo::new(move |_| ctx.app(|app| app.ground.clone()));
     // Said again and again: what it says changes seldom.
-    let described = Memo::new(move |_| ctx.live(|live| live.description.time_us()));
     let description = Memo::new(move |_| {
-        described.track();
-        ctx.live.with_value(|live| live.description.get().map(|told| Description { time_us: 0, ..told.clone() }))
+        ctx.live(|live| live.description.get().map(|told| Description { time_us: 0, ..told.clone() }))
     });
     // Every two seconds: nobody reads them sooner, and each figure that changes has the browser lay the page out.
     let link = Memo::new(move |shown: Option<&Option<LinkStatus>>| match shown.copied().flatten() {

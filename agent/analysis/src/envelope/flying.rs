@@ -19,7 +19,7 @@ use std::collections::VecDeque;
 
 use plumbline_core::control::law::Law;
 use plumbline_core::estimate::lanes::linear::{
-    GNSS, HORIZON_S, POSE, ROWS, SLOT, Shaken, cycle, of_heights, of_imus, slot_of,
+    GNSS, HORIZON_S, POSE, ROWS, SLOT, Shaken, cycle, of_heights, of_imus, slot_of, together,
 };
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::model::linearize::ix;
@@ -37,8 +37,10 @@ use super::{EnvelopeError, Model, Response, Signal, lateral};
 
 /// Altitude of the hover, m.
 pub(super) const ALTITUDE_M: f64 = 1.0;
-/// Furthest up and down, m, and shortest swing, s, of a heave: it stays between floor and ceiling, and no limit is reached.
-const HEAVE: (f64, f64) = (0.7, 2.0);
+/// Furthest up and down of a heave, m: it stays between floor and ceiling, and no limit is reached.
+const HEAVE_M: f64 = 0.7;
+/// Shortest and longest swing, s: no limit is reached.
+const SWINGS_S: (f64, f64) = (2.0, 20.0);
 /// Slots after which the samples of all heights must repeat.
 const LONGEST_CYCLE: usize = 25;
 
@@ -75,6 +77,15 @@ pub(super) fn repeating(rates_hz: impl Iterator<Item = f64> + Clone) -> Result<u
     let expected = "such that all samples repeat within 1 s";
     let found = (1..=LONGEST_CYCLE).find(repeats);
     found.ok_or(EnvelopeError::Value { what: "rate_hz of the sensors", value, expected })
+}
+
+/// May a swing take so long, s?
+pub(super) fn swings(period_s: f64) -> Result<(), EnvelopeError> {
+    let slots = period_s / SLOT;
+    if (SWINGS_S.0..=SWINGS_S.1).contains(&period_s) && (slots - slots.round()).abs() <= 1e-6 {
+        return Ok(());
+    }
+    Err(EnvelopeError::Value { what: "period_s", value: period_s, expected: "2 to 20, in whole slots of 40 ms" })
 }
 
 /// Scatter of an accelerometer's means over slots of which its lane measures so much over 0.8 s, one sigma, m/s²: of white noise. Vibration
@@ -186,15 +197,10 @@ impl Loop {
     /// # Errors
     /// [`EnvelopeError::Value`] for one beyond small accelerations, or whose swing is not whole slots.
     pub fn heaving(self, amplitude_m: f64, period_s: f64) -> Result<Self, EnvelopeError> {
-        let (most_m, least_s) = HEAVE;
-        if !(0.0..=most_m).contains(&amplitude_m) {
+        if !(0.0..=HEAVE_M).contains(&amplitude_m) {
             return Err(EnvelopeError::Value { what: "amplitude_m", value: amplitude_m, expected: "0 to 0.7" });
         }
-        let slots = period_s / SLOT;
-        if !(least_s..=20.0).contains(&period_s) || (slots - slots.round()).abs() > 1e-6 {
-            let expected = "2 to 20, in whole slots of 40 ms";
-            return Err(EnvelopeError::Value { what: "period_s", value: period_s, expected });
-        }
+        swings(period_s)?;
         Ok(Self { heave: Some((amplitude_m, period_s)), ..self })
     }
 
@@ -272,9 +278,8 @@ impl Loop {
     /// When each row is sampled in a cycle of slots: how long before the slot's end, s.
     pub(super) fn schedule(&self) -> Result<Vec<[Option<f64>; ROWS]>, EnvelopeError> {
         let own = repeating(self.timing.iter().flatten().map(|(rate_hz, _)| *rate_hz))?;
-        let aided = self.aid.as_ref().map_or(1, |(_, _, ages_s)| ages_s.len().max(1));
-        let slots =
-            (1..=aided).map(|times| times * own).find(|slots| slots.is_multiple_of(aided)).unwrap_or(own * aided);
+        let aided = self.aid.as_ref().map_or(1, |(_, _, ages_s)| ages_s.len());
+        let slots = together(&[own, aided]);
         let mut ages = vec![[None; ROWS]; slots];
         if let Some((_, row, ages_s)) = &self.aid {
             for (slot, age_s) in ages.iter_mut().zip(ages_s.iter().cycle()) {
@@ -359,9 +364,7 @@ impl Model for Attacked<'_> {
     fn period_s(&self, horizon_s: f64) -> f64 {
         let Ok(schedule) = self.flying.schedule() else { return horizon_s };
         let swing = self.flying.heave.map_or(1, |(_, period_s)| (period_s / SLOT).round() as usize);
-        let each = [schedule.len(), of_heights::EVERY, swing];
-        let all = |slots: &usize| each.iter().all(|own| slots.is_multiple_of(*own));
-        let slots = (1..=each.iter().product()).find(all).unwrap_or(usize::MAX);
+        let slots = together(&[schedule.len(), of_heights::EVERY, swing]);
         (slots as f64 * SLOT).min(horizon_s)
     }
 

@@ -10,7 +10,7 @@
 //! | attack | two values for each slot of an IMU, its accelerometer's along the axis and its gyroscope's about the other, over the most that may be added |
 //!
 //! Necessary conditions of silence as in `judges.rs`; evidence of drag and of the field is left out, which leaves more to an attacker. Pose and
-//! GNSS are judged by nobody: all lanes use them alike. Nor are IMUs where neither a majority votes nor pose or GNSS tells the lanes apart.
+//! GNSS are judged by nobody: all lanes use them alike. Nor are IMUs where no majority votes.
 
 use std::collections::VecDeque;
 use std::sync::OnceLock;
@@ -27,7 +27,7 @@ use plumbline_proto::v1::SensorKind;
 
 use super::bank::weighted;
 use super::controlled::{Controlled, Motion};
-use super::flying::{ALTITUDE_M, repeating, sound, usual_mps2, white};
+use super::flying::{ALTITUDE_M, repeating, sound, swings, usual_mps2, white};
 use super::judges::{ALONG, EVIDENCE, SQUARES, TURNING, Voted};
 use super::program::{Bound, Memory, Program, Statistic};
 use super::{Deviation, EnvelopeError, Model, Response, Signal, program_after};
@@ -64,10 +64,8 @@ pub struct Lateral {
 /// The deviation is followed for so many slots after the attack has ended: tilt and velocity go on.
 const AFTER_SLOTS: usize = 4;
 
-/// A swing is small enough to be followed up to this tilt, rad …
+/// A swing is small enough to be followed up to this tilt, rad.
 const LEAN_RAD: f64 = 0.2;
-/// … and no quicker than this, s: the law has no part in what it commands ahead.
-const SWINGS_S: (f64, f64) = (2.0, 20.0);
 
 /// Noise that an attacked lane takes its accelerometer for, over that of the others: in flight it changes by little at a time.
 pub(super) const RAISED: [f64; 5] = [1.0, 1.25, 1.5, 1.75, 2.0];
@@ -156,8 +154,6 @@ impl Lateral {
         let model = SensorModel::from(suite);
         let gnss_sigma_m = suite.gnss.as_ref().map_or(1.0, |gnss| gnss.horizontal.total_sigma());
         let (measured_mps2, noise_mps2) = (noise_mps2, noise_mps2.max(of_imus::NOISE_MPS2));
-        let along = Along { axis, aid, ages_s: &ages_s, gnss_sigma_m, swing: None };
-        let maps = along.cycle(&model, airframe, noise_mps2, ALTITUDE_M);
         let (about, other) = (hover(airframe), 1 - axis);
         let kept = [ix::X + axis, ix::VX + axis, ix::ROLL + other, ix::P + other];
         let input = ix::TORQUE_X + other;
@@ -171,13 +167,13 @@ impl Lateral {
         let reach_mps2 = of_imus::reach_mps2(&Shaken { noise_mps2: measured_mps2, rectified_mps2: 0.0 });
         let most = (most.0.min(reach_mps2), most.1.min(of_imus::REACH_RADPS));
         let noise = (noise_mps2, measured_mps2);
-        Ok(Self {
+        let lateral = Self {
             sensors: used,
             aid,
             axis,
             imus,
             controlled,
-            maps,
+            maps: Vec::new(),
             ages_s,
             white,
             drives,
@@ -187,7 +183,8 @@ impl Lateral {
             noise,
             raised,
             swing: None,
-        })
+        };
+        Ok(Self { maps: lateral.cycle(1.0), ..lateral })
     }
 
     /// About a swing along the axis in the place of a hover: the loop varies along it. The law divides its thrust by the tilt as it is
@@ -195,18 +192,13 @@ impl Lateral {
     ///
     /// # Errors
     /// [`EnvelopeError::Value`] for one that leans too far, whose turn is not whole slots, or that nothing measures.
-    pub fn swinging(mut self, swing: Swing) -> Result<Self, EnvelopeError> {
-        let Swing { amplitude_m, period_s } = swing;
+    pub fn swinging(mut self, amplitude_m: f64, period_s: f64) -> Result<Self, EnvelopeError> {
         if self.aid == Aid::None {
             let expected = "1: motion capture or GNSS, without which no path is flown";
             return Err(EnvelopeError::Value { what: "sensors that measure the position", value: 0.0, expected });
         }
-        let slots = period_s / SLOT;
-        if !(SWINGS_S.0..=SWINGS_S.1).contains(&period_s) || (slots - slots.round()).abs() > 1e-6 {
-            let expected = "2 to 20, in whole slots of 40 ms";
-            return Err(EnvelopeError::Value { what: "period_s", value: period_s, expected });
-        }
-        self.swing = Some(swing);
+        swings(period_s)?;
+        self.swing = Some(Swing { amplitude_m, period_s });
         let lean_rad = self.tilt_rad(0.25 * period_s).abs();
         if !(0.0..=LEAN_RAD).contains(&lean_rad) || amplitude_m < 0.0 {
             let expected = "as far as leans by 0.2 rad at most";
@@ -287,9 +279,8 @@ impl Lateral {
         let each = attack.len() / imus.len().max(1);
         let of = |(place, imu): (usize, SensorId)| {
             let own = attack.rows(place * each, each);
-            let by_turns = [(0, self.most.0), (1, self.most.1)].map(|(turn, most)| {
-                own.iter().skip(turn).step_by(2).map(|part| most * part.clamp(-1.0, 1.0)).collect::<Vec<_>>()
-            });
+            let by_turns = [(0, self.most.0), (1, self.most.1)]
+                .map(|(turn, most)| own.iter().skip(turn).step_by(2).map(|part| most * part).collect::<Vec<_>>());
             channels.into_iter().zip(by_turns).map(move |(channel, values)| (imu, channel, values))
         };
         imus.into_iter().enumerate().flat_map(of).collect()
@@ -492,16 +483,13 @@ impl Running<'_> {
         [(self.attack)(imu, 2 * number) * most.0, (self.attack)(imu, 2 * number + 1) * most.1]
     }
 
-    /// Mean of what is added to all IMUs, of a minority as far as it counts before anybody has judged it.
+    /// Mean of what is added to all IMUs.
     fn shared(&self, number: usize) -> [Signal; 2] {
-        let (share, most) = (1.0 / self.lateral().imus as f64, self.lateral().most);
+        let share = 1.0 / self.lateral().imus as f64;
         let none = [Signal::zeros(self.width), Signal::zeros(self.width)];
-        let counted = |added: Signal, most: f64| {
-            if self.of.is_minority() { added.map(|x| x.clamp(-most, most)) } else { added }
-        };
         self.of.imus.iter().fold(none, |[force, rate], imu| {
             let [a, w] = self.added(*imu, number);
-            [force + counted(a, most.0) * share, rate + counted(w, most.1) * share]
+            [force + a * share, rate + w * share]
         })
     }
 
@@ -617,17 +605,14 @@ impl Running<'_> {
             let mut add = |detector, limit, row| {
                 self.response.statistics.push(Statistic { detector, sensor: Some(*imu), time_s, limit, row });
             };
-            if self.of.is_minority() {
-                let biases = differ.iter().skip(STATES - 2);
-                for ((vote, added), bias) in judge.votes.iter_mut().zip(&added).zip(biases) {
-                    vote.hear(added, bias, &mut add);
-                }
-                add("IMU tilt", of_imus::APART_RAD, differ[2].clone());
-            }
-            // Evidence is held against the second-best lane: two healthy ones.
-            if lateral.aid == Aid::None || lateral.imus < imus.len() + 2 {
+            if !self.of.is_minority() {
                 continue;
             }
+            let biases = differ.iter().skip(STATES - 2);
+            for ((vote, added), bias) in judge.votes.iter_mut().zip(&added).zip(biases) {
+                vote.hear(added, bias, &mut add);
+            }
+            add("IMU tilt", of_imus::APART_RAD, differ[2].clone());
             if age_s.is_some() {
                 rows.into_iter().for_each(|row| add(EVIDENCE, of_imus::EVIDENCE.sqrt(), row));
             }

@@ -6,7 +6,7 @@ use plumbline_core::attack::Bounds;
 use plumbline_core::control::gains::Examiner;
 use plumbline_core::control::law::Law;
 use plumbline_core::control::policy::MarginPolicy;
-use plumbline_core::estimate::lanes::lateral::{Aid, Swing};
+use plumbline_core::estimate::lanes::lateral::Aid;
 use plumbline_core::estimate::lanes::linear::{ROWS, SLOT, Shaken};
 use plumbline_core::model::airframe::Airframe;
 use plumbline_core::sensor::suite::{PRESETS, Suite};
@@ -328,7 +328,7 @@ impl Asked {
             let most = (bounds.accel_max_mps2, bounds.rate_max_radps);
             let lateral = Lateral::new(&suite, &without, &airframe, &law, tick_rate_hz, shaken.noise_mps2, most, axis)?;
             match question.swing {
-                Some(swing) => lateral.swinging(Swing { amplitude_m: swing.amplitude_m, period_s: swing.period_s }),
+                Some(swing) => lateral.swinging(swing.amplitude_m, swing.period_s),
                 None => Ok(lateral),
             }
         });

@@ -6,7 +6,7 @@ use plumbline_agent::estimate::lanes::linear::Shaken;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
-use plumbline_support::envelope::aside::{ASIDE_S, Aside};
+use plumbline_support::envelope::aside::{ASIDE_S, Aside, CIRCLE, SWUNG};
 use plumbline_support::envelope::{
     Bounds, Flown, HORIZON_S, LINEAR, Worn, asked_with, fly, fly_circling, fly_heaving, fly_held,
 };
@@ -66,10 +66,6 @@ fn along_x_and_y_the_worst_come_near_their_bounds_about_hover_and_along_a_circle
     assert!((asked - worst).abs() < 1e-6, "{asked} {worst}");
 }
 
-/// A circle, m and s, and the swing along x and y that the vehicle makes of it.
-const CIRCLE: (f64, f64) = (0.8, 6.0);
-const SWUNG: (f64, f64) = (0.89, 6.0);
-
 /// Flies the worst of one IMU along `axis`: they reach what a lane leaves that weighs less before it is excluded, and a bound leaves that counts
 /// whole slots for what nobody has heard of.
 fn near(axis: usize, swing: Option<(f64, f64)>, fly: impl Fn(&Worn) -> Flown) {
@@ -120,6 +116,12 @@ fn an_imu_that_jumps_is_excluded_before_it_has_moved_the_vehicle_far() {
     let flight = fly("ideal", 1, &one(Channel::AccelAxis(2), 20.0));
     let part = flight.unseen_m(&free) / bounds.sets[0].bound_m;
     assert!(flight.seen.is_some_and(|tick| tick < 200) && part < 0.5, "{part}, {:?}", flight.seen);
+    let held = fly_held("ideal", 1, &Worn::default(), HORIZON_S);
+    let sensors = Some(vec!["imu 1".to_owned()]);
+    let posed = Bounds::asked(&EnvelopeQuestion { sensors, more: Some("pose".into()), ..asked_with(held.shaken) });
+    let flight = fly_held("ideal", 1, &one(Channel::AccelAxis(2), 20.0), HORIZON_S);
+    let part = flight.unseen_m(&held) / posed.sets[0].bound_m;
+    assert!(flight.seen.is_some_and(|tick| tick < 200) && part <= LINEAR, "{part}, {:?}", flight.seen);
     let held = fly_held("ideal", 1, &Worn::default(), ASIDE_S);
     let bounds = Aside::new(0, None, held.shaken.noise_mps2);
     for (channel, size) in [(Channel::AccelAxis(0), 20.0), (Channel::GyroAxis(1), 5.0), (Channel::GyroAxis(1), 0.3)] {

@@ -1,6 +1,5 @@
 //! Bounds along a horizontal axis under motion capture, and what is flown against them.
 
-use plumbline_agent::attack::{Attack, Kind, Sequence};
 use plumbline_agent::envelope::program::Program;
 use plumbline_agent::envelope::sets::Asked;
 use plumbline_agent::envelope::{Deviation, EVIDENCE, Signal};
@@ -10,10 +9,14 @@ use plumbline_rest::envelope::{EnvelopeQuestion, Swing};
 use rand::{RngExt as _, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::{ONSET_S, Worn, channel_of};
+use super::{Worn, channel_of, drawn_value};
 
 /// How long an attack along x or y lasts, s.
 pub const ASIDE_S: f64 = 5.0;
+/// A circle, m and s, and the swing along x and y that the vehicle makes of it.
+pub const CIRCLE: (f64, f64) = (0.8, 6.0);
+/// See [`CIRCLE`].
+pub const SWUNG: (f64, f64) = (0.89, 6.0);
 /// Parts of the limits that an attack keeps to: of the root of the evidence at which a lane weighs steeply less, of the others.
 const HELD: [(f64, f64); 2] = [(1.0, 0.95), (0.8, 1.0)];
 /// What is bounded: rad, m/s, m.
@@ -37,7 +40,7 @@ impl AsideSet {
     }
 }
 
-/// The loop of the default suite with motion capture along an axis, and the sets of one or two of its IMUs.
+/// The loop of the default suite with motion capture along an axis, and each set of its IMUs that is judged.
 pub struct Aside {
     asked: Asked,
     /// In order.
@@ -73,20 +76,8 @@ impl Aside {
     fn worn(&self, set: &AsideSet, attack: &Signal, part: f64) -> Worn {
         let mut worn = Worn::default();
         let sequences = self.asked.lateral.as_ref().unwrap().sequences(&set.sensors, &(attack * part));
-        for (id, (sensor, channel, values)) in (1..).zip(sequences) {
-            let magnitude = values.iter().fold(1e-9, |most: f64, value| most.max(value.abs()));
-            worn.attacks.push(Attack {
-                id,
-                sensor,
-                channel: channel_of(channel),
-                kind: Kind::Bias,
-                start_s: ONSET_S,
-                duration_s: ASIDE_S,
-                magnitude,
-                seed: 1,
-            });
-            let values = values.into_iter().map(|value| value / magnitude).collect();
-            worn.sequences.push(Sequence { attack: id, period_s: SLOT, values });
+        for (sensor, channel, values) in sequences {
+            worn.add(sensor, channel_of(channel), ASIDE_S, SLOT, values.into_iter());
         }
         worn
     }
@@ -130,14 +121,7 @@ impl Aside {
             let period_s = dice.random_range(0.5..ASIDE_S);
             let first = (channel / 2) * 2 * count + channel % 2;
             for k in 0..count {
-                let t = k as f64 * SLOT;
-                values[first + 2 * k] = size
-                    * match shape {
-                        0 => 1.0,
-                        1 => t / ASIDE_S,
-                        2 => (std::f64::consts::TAU * t / period_s).sin(),
-                        _ => dice.random_range(-1.0..1.0),
-                    };
+                values[first + 2 * k] = size * drawn_value(shape, k as f64 * SLOT, ASIDE_S, period_s, &mut dice);
             }
         }
         (["step", "ramp", "sine", "noise"][shape], self.worn(set, &values, 1.0))

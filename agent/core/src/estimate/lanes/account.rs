@@ -6,7 +6,7 @@ use plumbline_proto::v1::{DecoderStatus, FlagReason, SensorKind};
 
 use super::integral::Six;
 use super::slot::Slot;
-use super::{Lanes, part};
+use super::{LANES, Lanes, part};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::estimate::fdir::isolation::Evidence;
@@ -130,11 +130,11 @@ impl Lanes {
     /// Rate and lead of the attitude at `now`.
     pub(super) fn turn(&mut self, now: FlightTime, dt_s: f64, thrust_mps2: f64) {
         let mixture = &self.fused.mixture;
-        let latest = |i: usize| self.slots.integrals().get(i).and_then(|integral| integral.latest(now));
-        let told = std::array::from_fn(|i| latest(i).map(|(_, latest)| latest - mixture.biases[i]));
-        let (mut late_s, mut weights) = (0.0, 0.0);
-        for (i, weight) in mixture.weights.iter().enumerate() {
-            if let Some((time, _)) = latest(i) {
+        let (mut told, mut late_s, mut weights) = ([None; LANES], 0.0, 0.0);
+        let lanes = mixture.weights.iter().zip(&mixture.biases).zip(&mut told);
+        for (integral, ((weight, bias), told)) in self.slots.integrals().iter().zip(lanes) {
+            if let Some((time, latest)) = integral.latest(now) {
+                *told = Some(latest - bias);
                 late_s += now.seconds_since(time) * weight;
                 weights += weight;
             }

@@ -7,15 +7,13 @@ use plumbline_proto::time::FlightTime;
 use super::SLOT_S;
 use super::integral::Six;
 use super::lane::Lane;
-use super::linear::{Hovering, Shaken};
+use super::linear::{Hovering, Shaken, located, posed, together};
 use super::rows::Unaided;
 use super::slot::Slot;
 use crate::estimate::aiding::{ANGLES, VELOCITY, XYZ};
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::estimate::{Channel, Residuals};
 use crate::model::airframe::Airframe;
-use crate::sensor::gnss::GnssSample;
-use crate::sensor::mocap_pose::MocapPoseSample;
 use crate::sensor::{MAX_HEIGHTS, SensorModel};
 
 /// Position (m), velocity (m/s), tilt (rad), bias of accelerometer (m/s²) and gyroscope (rad/s).
@@ -113,10 +111,9 @@ impl Along<'_> {
     }
 
     /// Slots after which everything repeats.
-    pub fn period(&self) -> usize {
+    fn period(&self) -> usize {
         let aided = if self.aid == Aid::None { UNAIDED_SLOTS } else { self.ages_s.len().max(1) };
-        let swing = self.swing.map_or(1, |swing| (swing.period_s / SLOT_S).round().max(1.0) as usize);
-        (1..=swing).map(|times| times * aided).find(|slots| slots.is_multiple_of(swing)).unwrap_or(aided * swing)
+        together(&[aided, self.swing.map_or(1, |swing| (swing.period_s / SLOT_S).round() as usize)])
     }
 
     fn slot(&self, number: u64, measured: [f64; 3], z_m: f64, at: impl Fn(f64) -> Moment) -> Slot {
@@ -130,21 +127,8 @@ impl Along<'_> {
         (place[self.axis], speed[self.axis], angle[1 - self.axis]) = (measured[0], measured[1], measured[2]);
         match self.aid {
             Aid::None => {}
-            Aid::Gnss => {
-                slot.gnss = Some(GnssSample {
-                    time,
-                    position_enu_m: place,
-                    velocity_enu_mps: speed,
-                    geodetic: [0.0; 3],
-                    horizontal_sigma_m: self.gnss_sigma_m,
-                    vertical_sigma_m: self.gnss_sigma_m,
-                    satellites: 0,
-                });
-            }
-            Aid::Pose => {
-                let world_from_body = UnitQuaternion::from_scaled_axis(angle);
-                slot.pose = Some(MocapPoseSample { time, position_enu_m: place, world_from_body });
-            }
+            Aid::Gnss => slot.gnss = Some(located(time, place, speed, self.gnss_sigma_m)),
+            Aid::Pose => slot.pose = Some(posed(time, place, &angle)),
         }
         slot
     }

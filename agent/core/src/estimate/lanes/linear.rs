@@ -186,21 +186,10 @@ impl<'a> Hovering<'a> {
         for ((place, age_s), off_m) in slot.heights.iter_mut().zip(ages_s).zip(off) {
             *place = age_s.map(|age_s| (time(age_s), self.z_m + off_m));
         }
-        slot.pose = ages_s[POSE].map(|age_s| MocapPoseSample {
-            time: time(age_s),
-            position_enu_m: Vector3::z() * (self.z_m + off[POSE]),
-            world_from_body: UnitQuaternion::identity(),
-        });
+        let up = Vector3::z;
+        slot.pose = ages_s[POSE].map(|age_s| posed(time(age_s), up() * (self.z_m + off[POSE]), &Vector3::zeros()));
         // Of its position nothing is used along z where heights tell more.
-        slot.gnss = ages_s[GNSS].map(|age_s| GnssSample {
-            time: time(age_s),
-            position_enu_m: Vector3::z() * self.z_m,
-            velocity_enu_mps: Vector3::z() * off[GNSS],
-            geodetic: [0.0; 3],
-            horizontal_sigma_m: 1.0,
-            vertical_sigma_m: 1.0,
-            satellites: 0,
-        });
+        slot.gnss = ages_s[GNSS].map(|age_s| located(time(age_s), up() * self.z_m, up() * off[GNSS], 1.0));
         slot
     }
 
@@ -376,6 +365,32 @@ fn row_of(residual: &Residual) -> Option<usize> {
 fn sigmas(residuals: &Residuals) -> [Option<f64>; ROWS] {
     let of = |row: usize| residuals.iter().find(|residual| row_of(residual) == Some(row));
     std::array::from_fn(|row| of(row).map(|residual| residual.sigma))
+}
+
+/// Slots after which cycles of so many slots `each` repeat together.
+pub fn together(each: &[usize]) -> usize {
+    each.iter().fold(1, |all, own| {
+        let own = (*own).max(1);
+        (1..=own).map(|times| times * all).find(|slots| slots.is_multiple_of(own)).unwrap_or(all * own)
+    })
+}
+
+/// A pose that motion capture measured.
+pub(super) fn posed(time: FlightTime, place: Vector3<f64>, angle: &Vector3<f64>) -> MocapPoseSample {
+    MocapPoseSample { time, position_enu_m: place, world_from_body: UnitQuaternion::from_scaled_axis(*angle) }
+}
+
+/// What a GNSS receiver of this horizontal one-sigma, m, measured.
+pub(super) fn located(time: FlightTime, place: Vector3<f64>, speed: Vector3<f64>, sigma_m: f64) -> GnssSample {
+    GnssSample {
+        time,
+        position_enu_m: place,
+        velocity_enu_mps: speed,
+        geodetic: [0.0; 3],
+        horizontal_sigma_m: sigma_m,
+        vertical_sigma_m: sigma_m,
+        satellites: 0,
+    }
 }
 
 /// Number of the slot that a sample at `time_s` belongs to, and how long before its end it was, s.
