@@ -13,7 +13,7 @@ use super::Failure;
 
 #[derive(Debug, clap::Args)]
 pub struct CalibrateArguments {
-    /// accelerometer, gyroscope, magnetometer, thermal, motor-curve, thrust, mass or allan.
+    /// accelerometer, gyroscope, magnetometer, thermal, motor-curve, thrust, mass, allan or delays.
     #[arg(value_parser = |name: &str| Kind::by_name(name))]
     kind: Kind,
     /// A recording the agent can read, or a CSV table.

@@ -12,7 +12,7 @@ use crate::number;
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Fit {
-    /// `accelerometer`, `gyroscope`, `magnetometer`, `thermal`, `motor-curve`, `thrust`, `mass` or `allan`.
+    /// `accelerometer`, `gyroscope`, `magnetometer`, `thermal`, `motor-curve`, `thrust`, `mass`, `allan` or `delays`.
     pub kind: String,
     /// Id of a recorded flight.
     #[serde(default, skip_serializing_if = "Option::is_none")]

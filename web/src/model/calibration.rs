@@ -15,7 +15,7 @@ pub struct Kind {
     pub by_hand: &'static str,
     /// What to do, one step after the other.
     pub guidance: &'static [&'static str],
-    /// A table of it, to be filled in: with the columns that are read.
+    /// A table of it, to be filled in: with the columns that are read; empty where a flight alone will do.
     pub example: &'static str,
 }
 
@@ -26,7 +26,7 @@ const THRUST: &str = include_str!("../../../agent/analysis/tables/thrust.csv");
 const MASS: &str = include_str!("../../../agent/analysis/tables/mass.csv");
 
 /// Every kind.
-pub const KINDS: [Kind; 8] = [
+pub const KINDS: [Kind; 9] = [
     Kind {
         name: "accelerometer",
         title: "Accelerometer",
@@ -117,6 +117,17 @@ pub const KINDS: [Kind; 8] = [
             "White noise is the slope −½ at one second, bias instability the flat bottom.",
         ],
         example: IMU,
+    },
+    Kind {
+        name: "delays",
+        title: "Delays of heights and motion capture",
+        from_flight: true,
+        by_hand: "",
+        guidance: &[
+            "Record a flight of a minute or more with many steps of altitude, as large and quick as the room allows.",
+            "Choose an IMU that is shaken little: it says when the vehicle moved, the others when they noticed.",
+        ],
+        example: "",
     },
 ];
 

@@ -93,6 +93,7 @@ impl Bench {
                 fit.name = Some(name);
                 fit.csv = Some(text);
             }
+            _ if kind.example.is_empty() => return Err("choose a flight".into()),
             None if kind.from_flight => return Err("choose a flight, or open a table".into()),
             None => return Err("open a table first".into()),
         }
@@ -233,7 +234,7 @@ fn Form() -> impl IntoView {
                     </select>
                 </label>
             </Show>
-            <div class="row">
+            <div class="row" hidden=move || bench.kind.get().example.is_empty()>
                 <button type="button" on:click=move |_| if let Some(input) = file.get_untracked() { input.click() }>"Open table (CSV)…"</button>
                 <button type="button" title="The columns that are read, with some rows" on:click=move |_| example(bench.kind.get_untracked())>"Example table"</button>
                 <span class="quiet one-line">{move || bench.table.get().map(|(name, _)| name)}</span>

@@ -17,6 +17,7 @@ use plumbline_core::types::GRAVITY_MPS2;
 use plumbline_proto::time::WallTime;
 
 use super::ArgumentError;
+use super::delays::{Altitudes, delays};
 use super::table::Table;
 use crate::recordings::{self, Format, Recording, RecordingError};
 
@@ -97,7 +98,7 @@ pub enum CalibrateError {
         /// What is wrong with it.
         reason: String,
     },
-    /// Motors shake and warm what is to rest, and their currents bend the field.
+    /// Motors shake and warm what is to rest, and their currents bend the field; only delays are seen in flight.
     #[error(
         "{kind} calibration refused: the motors turn at {at_s:.1} s of {name}; choose a stretch (from, to) in which they are off"
     )]
@@ -185,6 +186,15 @@ pub fn from_table(text: impl std::io::Read, name: &str, request: &Request) -> Re
             return from_samples(samples, name, request);
         }
     };
+    told(fitted, name, request)
+}
+
+/// What was fitted to what is called `name`, with its date.
+fn told(
+    fitted: Result<CalibrationFile, CalibrationError>,
+    name: &str,
+    request: &Request,
+) -> Result<CalibrationFile, CalibrateError> {
     let mut file = fitted.map_err(|source| CalibrateError::Refused { kind: request.kind.name(), source })?;
     request.date.clone_into(&mut file.date);
     name.clone_into(&mut file.input);
@@ -206,7 +216,11 @@ pub fn from_recording(
     }
     let mut samples = Vec::with_capacity(recording.info().ticks);
     let mut turning_s = Vec::new();
+    let mut altitudes: Vec<Altitudes> = Vec::new();
     while let Some(tick) = recording.next_tick() {
+        if request.kind == Kind::Delays {
+            Altitudes::take(&mut altitudes, &tick.sensed);
+        }
         if tick.applied.is_some_and(|command| command.throttle.iter().any(|throttle| *throttle > 0.0)) {
             turning_s.push(tick.sensed.time.as_seconds());
         }
@@ -221,6 +235,13 @@ pub fn from_recording(
         }
     }
     let (from_s, to_s) = request.stretch(&samples)?;
+    if request.kind == Kind::Delays {
+        let (first, last) = ends(&samples);
+        samples.retain(|s| !(s.time_s < from_s || s.time_s > to_s));
+        let mut file = told(delays(&samples, &altitudes), name, request)?;
+        file.span_s = Some([from_s.max(first), to_s.min(last)]);
+        return Ok(file);
+    }
     if let Some(at_s) = turning_s.into_iter().find(|at_s| (from_s..=to_s).contains(at_s)) {
         return Err(CalibrateError::Motors { kind: request.kind.name(), name: name.to_owned(), at_s });
     }
@@ -257,14 +278,15 @@ pub fn from_samples(
         Kind::Magnetometer => magnetometer::magnetometer(&samples),
         Kind::Thermal => thermal::thermal(&samples),
         Kind::Allan => allan::allan(&samples),
+        Kind::Delays => {
+            return Err(ArgumentError::new("kind", request.kind.name(), "is fitted from a recorded flight only").into());
+        }
         Kind::MotorCurve | Kind::Thrust | Kind::Mass => {
             let reason = format!("is not fitted from samples of an IMU: give a table (--format {CSV})");
             return Err(ArgumentError::new("kind", request.kind.name(), reason).into());
         }
     };
-    let mut file = fitted.map_err(|source| CalibrateError::Refused { kind: request.kind.name(), source })?;
-    request.date.clone_into(&mut file.date);
-    name.clone_into(&mut file.input);
+    let mut file = told(fitted, name, request)?;
     file.sensor = u8::try_from(request.imu).ok();
     file.span_s = Some([from.max(first), to.min(last)]);
     Ok(file)

@@ -8,6 +8,7 @@
 
 pub mod calibrate;
 pub mod decode;
+mod delays;
 mod errors;
 mod output;
 mod smooth;

@@ -130,7 +130,7 @@ impl Correction {
                 How::Field(model)
             }
             Kind::Thermal => How::Drift(thermal_of(file)?),
-            Kind::MotorCurve | Kind::Thrust | Kind::Mass | Kind::Allan => {
+            Kind::MotorCurve | Kind::Thrust | Kind::Mass | Kind::Allan | Kind::Delays => {
                 let name = file.kind.name();
                 return Err(CalibrationError::File(format!("{name}: corrects no samples of an IMU")));
             }
@@ -222,8 +222,8 @@ impl Calibration {
                 let inertia = [file.value("inertia_x")?, file.value("inertia_y")?, file.value("inertia_z")?];
                 self.airframe.inertia_kgm2 = Some(Vector3::from(inertia));
             }
-            // Describes noise; it moves no reading.
-            Kind::Allan => return Ok(()),
+            // Noise and delays are told; they move no reading.
+            Kind::Allan | Kind::Delays => return Ok(()),
         }
         self.note(Used::of(file, 0));
         Ok(())
@@ -258,7 +258,7 @@ impl Calibration {
             Kind::Gyroscope => of.gyro = None,
             Kind::Magnetometer => of.field = None,
             Kind::Thermal => of.drift = None,
-            Kind::MotorCurve | Kind::Thrust | Kind::Mass | Kind::Allan => {}
+            Kind::MotorCurve | Kind::Thrust | Kind::Mass | Kind::Allan | Kind::Delays => {}
         }
         self.used.remove(place);
         Ok(())

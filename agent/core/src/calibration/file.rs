@@ -43,11 +43,13 @@ pub enum Kind {
     Mass,
     /// Noise of an IMU at rest.
     Allan,
+    /// How late heights and motion capture are stamped.
+    Delays,
 }
 
 impl Kind {
     /// Every kind, with its name in files and on the command line.
-    pub const ALL: [(&'static str, Self); 8] = [
+    pub const ALL: [(&'static str, Self); 9] = [
         ("accelerometer", Self::Accelerometer),
         ("gyroscope", Self::Gyroscope),
         ("magnetometer", Self::Magnetometer),
@@ -56,6 +58,7 @@ impl Kind {
         ("thrust", Self::Thrust),
         ("mass", Self::Mass),
         ("allan", Self::Allan),
+        ("delays", Self::Delays),
     ];
 
     /// Name in files and on the command line.

@@ -324,3 +324,39 @@ fn a_flight_with_turning_motors_is_no_rest_to_calibrate_from() {
         assert!(!matches!(before, CalibrateError::Motors { .. }), "{before}");
     }
 }
+
+/// GIVEN scans that are stamped where they begin, 33 ms before they see the floor, up to 2 ms later by the host's clock, and motion capture
+/// that is stamped as it sees WHEN a flight in the world of the data sheets steps up and down THEN it tells both by themselves.
+#[test]
+fn a_flight_tells_how_late_its_heights_are_stamped() {
+    use plumbline_agent::calibration::Kind;
+    use plumbline_agent::offline::calibrate::{Request, from_path};
+
+    let step = |k: u32| {
+        let (at_s, altitude_m) = (5 + 3 * k, if k.is_multiple_of(2) { 0.8 } else { 1.4 });
+        format!("{{ at_s = {at_s}, do = \"setpoint\", altitude_m = {altitude_m} }},\n")
+    };
+    let steps: String = (0..21).map(step).collect();
+    let plan = format!(
+        r#"
+name = "stepped"
+[scenario]
+world = "datasheet"
+duration_s = 70
+rig = {{ free = {{ height_m = 0.0 }} }}
+suite = {{ preset = "string_rig", add = ["mocap_pose"] }}
+script = [
+  {{ at_s = 3, do = "arm" }}, {{ at_s = 4, do = "mode", mode = "altitude_hold" }},
+  {steps}]
+"#
+    );
+    let folder = tempfile::tempdir().unwrap();
+    record(folder.path(), "stepped", &plan, 21, false);
+    let path = folder.path().join("flights/stepped.mcap");
+    let file = from_path(&path, None, &Request::new(Kind::Delays, "2026-01-31T12:00:00Z")).unwrap();
+    assert_eq!(file.parameters.len(), 4, "{:?}", file.notes);
+    for of in &file.parameters {
+        let (truth_s, sigma_s) = (if of.name == "mocap_pose_1" { 0.0 } else { -0.0315 }, of.sigma.unwrap());
+        assert!((of.value - truth_s).abs() < 3.0 * sigma_s && sigma_s < 0.01, "{of:?}");
+    }
+}

@@ -109,6 +109,7 @@ fn arguments_and_files_that_do_not_fit_are_named() {
     );
     assert!(text(imu, &Request { from_s: Some(5.0), to_s: Some(2.0), ..request(Kind::Allan) }).contains("--from 5"));
     assert!(text(imu, &request(Kind::MotorCurve)).contains("t.csv: no column command"));
+    assert_eq!(text(imu, &request(Kind::Delays)), "--kind delays: is fitted from a recorded flight only");
     let error = from_path(Path::new("absent.csv"), None, &request(Kind::Mass)).unwrap_err().to_string();
     assert!(error.contains("absent.csv"), "{error}");
     let error = from_path(Path::new("absent.csv"), Some("xml"), &request(Kind::Mass)).unwrap_err().to_string();
