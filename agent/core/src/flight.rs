@@ -33,7 +33,7 @@ use crate::event::{Event, EventKind, EventQueue, Severity, Text, text};
 use crate::frames::roll_pitch_yaw;
 use crate::mix::{Mixed, Mixer};
 use crate::sensor::SensorFrame;
-use crate::supervisor::{Monitor, Watchdog};
+use crate::supervisor::{Agreement, Monitor, Watchdog};
 use crate::types::{Actuation, EstimatorKind, Loops, Mode, MotorCommand, ROTORS, Setpoint, TICK_RATE_HZ, Wrench};
 
 use path::Path;
@@ -86,6 +86,7 @@ enum Phase {
 #[derive(Debug)]
 struct Supervision {
     watchdog: Watchdog,
+    agreement: Agreement,
     monitor: Monitor,
     failsafe: Failsafe,
     failsafe_reason: Text,
@@ -223,6 +224,7 @@ impl Flight {
             phase: Phase::Idle { since: FlightTime(0) },
             supervision: Supervision {
                 watchdog: Watchdog::new(&config.independent),
+                agreement: Agreement::default(),
                 monitor: Monitor::new(config.failsafe),
                 failsafe: Failsafe::None,
                 failsafe_reason: Text::new(),
@@ -268,6 +270,9 @@ impl Flight {
         let dt_s = self.tick(sensed);
         let received = self.attacks.apply(received);
         self.supervision.watchdog.step(&received, dt_s);
+        if !self.armed() {
+            self.supervision.agreement.step(&received);
+        }
         self.bank.step(&received, &self.report.applied, dt_s);
         self.guard(sensed.time);
         let voltage_v = self.liveness.battery.map(|(_, v)| v).filter(|v| *v > 0.0);

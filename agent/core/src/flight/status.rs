@@ -87,6 +87,9 @@ impl Flight {
             check("height", fresh > 0, text(format_args!("{fresh} of {heights} lasers measured in the last 0.5 s")));
         }
 
+        let (passed, line) = self.supervision.agreement.told(now);
+        check("agreement", passed, line);
+
         match (self.liveness.battery, self.charge(now)) {
             (Some((_, v)), Some(charge)) => {
                 let least = self.config.failsafe.battery_warn + CHARGE_RESERVE;

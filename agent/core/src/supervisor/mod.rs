@@ -21,11 +21,13 @@
 //! | program asked to end, once / twice | descend / cut |
 //!
 //! Three parts: the [`Watchdog`] (tilt, rate and height without any estimator), the [`Monitor`] (which row applies now)
-//! and `flight/guard.rs` (which acts on it). Time-outs of take-off and landing, and the operator's cut, are in `flight/`.
+//! and `flight/guard.rs` (which acts on it). Before take-off [`Agreement`] holds sensors of a kind against each other. Time-outs of take-off and landing, and the operator's cut, are in `flight/`.
 
+pub mod agreement;
 pub mod monitor;
 pub mod watchdog;
 
+pub use agreement::Agreement;
 pub use monitor::{Inputs, Monitor, severity};
 pub use plumbline_proto::v1::Failsafe;
 pub use watchdog::Watchdog;
