@@ -11,7 +11,9 @@ use super::series::Series;
 
 mod errors;
 
-/// Samples kept of a live curve: the longest window, ten minutes, at the 40 Hz that the ground thins what a page shows to …
+/// How long samples of a live curve are kept, s: the longest window, ten minutes, and what is before it on its chart.
+const LIVE_S: f64 = 660.0;
+/// Samples kept of one at most: as long at the 40 Hz that the ground thins what a page shows to …
 const LIVE_SAMPLES: usize = 1 << 15;
 /// … of residuals, of which it sends 8 in each second and which are most of the curves …
 const RESIDUAL_SAMPLES: usize = 1 << 13;
@@ -249,7 +251,8 @@ impl Curve {
 pub struct Curves {
     map: BTreeMap<Curve, Series>,
     /// Samples kept of each.
-    samples: fn(Curve) -> usize,
+    /// An empty series for a curve.
+    empty: fn(Curve) -> Series,
     followed: errors::Followed,
     /// How often a whole curve was put in the place of another.
     replaced: u64,
@@ -283,15 +286,15 @@ impl Whole {
 
 impl Default for Curves {
     fn default() -> Self {
-        Self::of(Curve::live_samples)
+        Self::of(|curve| Series::new(curve.live_samples()).with_span(LIVE_S))
     }
 }
 
 impl Curves {
-    fn of(samples: fn(Curve) -> usize) -> Self {
+    fn of(empty: fn(Curve) -> Series) -> Self {
         Self {
             map: BTreeMap::new(),
-            samples,
+            empty,
             followed: errors::Followed::default(),
             replaced: 0,
             whole: Whole::default(),
@@ -300,21 +303,21 @@ impl Curves {
 
     /// For a recorded flight: everything is kept.
     pub fn unbounded() -> Self {
-        Self::of(|_| RECORDED_SAMPLES)
+        Self::of(|_| Series::new(RECORDED_SAMPLES))
     }
 
     /// For a past that is to be laid under live curves.
     pub fn short() -> Self {
-        Self::of(|_| PAST_SAMPLES)
+        Self::of(|_| Series::new(PAST_SAMPLES))
     }
 
     /// Lays `past` under each curve, between `from_s` and the curve's first sample after that.
     pub fn fill(&mut self, from_s: f64, past: &Self) {
         // Samples are numbered anew below.
         self.forget_errors();
-        let samples = self.samples;
+        let empty = self.empty;
         for (curve, past) in &past.map {
-            let series = self.map.entry(*curve).or_insert_with(|| Series::new(samples(*curve)).with_max_gap(GAP_S));
+            let series = self.map.entry(*curve).or_insert_with(|| empty(*curve).with_max_gap(GAP_S));
             let cut = series.upper_bound(from_s);
             let until_s = series.get(cut).map_or(f64::INFINITY, |(time_s, _)| time_s);
             let mut between = past.samples(past.upper_bound(from_s)..past.lower_bound(until_s)).peekable();
@@ -343,7 +346,7 @@ impl Curves {
 
     /// The same curves once more, to refine them from.
     pub fn copy(&self) -> Self {
-        Self { map: self.map.clone(), ..Self::of(self.samples) }
+        Self { map: self.map.clone(), ..Self::of(self.empty) }
     }
 
     /// Takes the curves of `overview`, whose samples stand for `step_s` each, with those of `detail` between two times in
@@ -373,10 +376,10 @@ impl Curves {
 
     /// Appends one sample. Samples that run backwards in time are left out.
     pub fn push(&mut self, curve: Curve, time_us: u64, value: f64) {
-        let samples = self.samples;
+        let empty = self.empty;
         self.map
             .entry(curve)
-            .or_insert_with(|| Series::new(samples(curve)).with_max_gap(GAP_S))
+            .or_insert_with(|| empty(curve).with_max_gap(GAP_S))
             .push(time_us as f64 * 1e-6, value as f32);
     }
 
@@ -405,8 +408,8 @@ impl Curves {
     /// Appends what came of a signal since: time, s, and value.
     pub fn extend_signal(&mut self, place: u8, samples: impl IntoIterator<Item = (f64, f64)>) {
         let curve = Curve::Signal(place);
-        let samples_kept = self.samples;
-        let new = || Series::new(samples_kept(curve)).with_max_gap(SIGNAL_GAP_S);
+        let empty = self.empty;
+        let new = || empty(curve).with_max_gap(SIGNAL_GAP_S);
         let series = self.map.entry(curve).or_insert_with(new);
         for (time_s, value) in samples {
             series.push(time_s, value as f32);

@@ -69,6 +69,8 @@ pub struct Series {
     held: Range<u64>,
     levels: Vec<Level>,
     max_gap_s: f64,
+    /// Once the oldest sample is older, s, it takes no more memory.
+    span_s: f64,
 }
 
 impl Series {
@@ -83,7 +85,13 @@ impl Series {
             levels.push(Level { samples_per_block, room, blocks: Vec::new() });
             samples_per_block *= FAN;
         }
-        Self { times_s: Vec::new(), values: Vec::new(), capacity, held: 0..0, levels, max_gap_s: f64::INFINITY }
+        let (max_gap_s, span_s) = (f64::INFINITY, f64::INFINITY);
+        Self { times_s: Vec::new(), values: Vec::new(), capacity, held: 0..0, levels, max_gap_s, span_s }
+    }
+
+    /// The same for as many samples as come within `span_s`, if those are fewer.
+    pub fn with_span(self, span_s: f64) -> Self {
+        Self { span_s, ..self }
     }
 
     /// The same, drawn with a gap wherever two neighbours are further apart than `max_gap_s`.
@@ -109,6 +117,11 @@ impl Series {
             return false;
         }
         let number = self.held.end;
+        // As long as it grows, numbers are places.
+        let grows = number == self.times_s.len() as u64 && self.times_s.len() < self.capacity;
+        if grows && self.times_s.first().is_some_and(|first_s| time_s - first_s > self.span_s) {
+            self.capacity = self.times_s.len();
+        }
         let slot = (number % self.capacity as u64) as usize;
         if slot == self.times_s.len() {
             self.times_s.push(time_s);
@@ -324,6 +337,18 @@ mod tests {
             assert_eq!(series.len(), capacity);
             assert_eq!(series.end(), 12_000);
         }
+    }
+
+    #[test]
+    fn what_comes_rarely_is_held_for_its_span_only() {
+        let mut series = Series::new(5000).with_span(60.0);
+        for i in 0..3000_u64 {
+            assert!(series.push(i as f64 * 0.5, (i % 700) as f32));
+            let first = series.first();
+            assert_eq!(series.extent(first..i + 1), brute_extent(&series, first..i + 1), "{i}");
+        }
+        let (from_s, to_s) = series.time_span_s().unwrap();
+        assert_eq!((series.len(), series.end(), to_s - from_s), (121, 3000, 60.0));
     }
 
     #[test]

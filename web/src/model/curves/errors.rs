@@ -115,8 +115,8 @@ impl Curves {
             let off = f64::from(value) - reference;
             found.push((time_s, if angle { wrapped(off) * MRAD } else { off * MM }));
         }
-        let samples = self.samples;
-        let errors = self.map.entry(error).or_insert_with(|| Series::new(samples(error)).with_max_gap(GAP_S));
+        let empty = self.empty;
+        let errors = self.map.entry(error).or_insert_with(|| empty(error).with_max_gap(GAP_S));
         for (time_s, off) in &found {
             errors.push(*time_s, *off as f32);
         }
