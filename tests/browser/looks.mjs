@@ -150,7 +150,7 @@ const PAGES = {
   experiments: [`/experiments?experiment=${experiment}`, heading],
   calibrate: ['/calibrate', () => page.getByRole('button', { name: 'Fit and keep' }).waitFor()],
   setup: ['/setup', async () => {
-    await page.getByRole('region', { name: 'Vehicle' }).getByText('hanging_strings').waitFor();
+    await page.getByRole('region', { name: 'Vehicle' }).getByText('hanging_strings', { exact: true }).waitFor();
     const envelope = page.getByRole('region', { name: 'Attack envelope' });
     await envelope.getByText('height 1', { exact: true }).waitFor({ timeout: 60_000 });
     await envelope.getByText(/^motion capture/).waitFor({ timeout: 60_000 });

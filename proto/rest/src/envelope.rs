@@ -241,9 +241,9 @@ pub struct PreparedAttack {
 }
 
 /// Noises of the accelerometers that the bounds of a flight are asked at, m/s².
-pub const NOISES_MPS2: [f64; 23] = [
-    0.013, 0.02, 0.025, 0.031, 0.038, 0.044, 0.05, 0.07, 0.1, 0.13, 0.17, 0.23, 0.3, 0.4, 0.5, 0.67, 0.85, 1.2, 1.6,
-    2.2, 3.1, 3.7, 4.5,
+pub const NOISES_MPS2: [f64; 24] = [
+    0.013, 0.02, 0.025, 0.031, 0.038, 0.044, 0.05, 0.07, 0.1, 0.13, 0.17, 0.23, 0.3, 0.4, 0.5, 0.67, 0.85, 1.2, 1.4,
+    1.6, 2.2, 3.1, 3.7, 4.5,
 ];
 /// What they rectify that the bounds of a flight are asked at, m/s².
 const RECTIFIED_MPS2: [f64; 10] = [0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.1, 1.6, 2.5];

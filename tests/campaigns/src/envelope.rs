@@ -86,25 +86,26 @@ fn usual(clean: &[Flown]) -> Shaken {
 }
 
 /// The maximising sequences of each set, flown by `fly` whole and scaled down: of those that nobody sees the one that gets furthest from
-/// `clean`, and what it is scaled by.
-fn furthest(bounds: &Bounds, clean: &Flown, fly: impl Fn(&Worn) -> Flown + Sync) -> Vec<(f64, Flown)> {
+/// the same flight without, what it is scaled by, and that flight.
+fn furthest(bounds: &Bounds, fly: impl Fn(&Worn) -> Flown + Sync) -> Vec<(f64, Flown, Flown)> {
     parallel(bounds.sets.len(), |i| {
-        let tries = bounds.all_worst(&bounds.sets[i], &PARTS);
-        let tries: Vec<_> = tries.map(|(part, worn)| (part, fly(&worn))).collect();
+        let set = &bounds.sets[i];
+        let clean = fly(&set.none());
+        let tries: Vec<_> = set.all_worst(&PARTS).map(|(part, worn)| (part, fly(&worn))).collect();
         let unseen = tries.iter().filter(|(_, flight)| flight.seen.is_none());
-        let furthest = unseen.max_by(|a, b| a.1.unseen_m(clean).total_cmp(&b.1.unseen_m(clean)));
-        furthest.unwrap_or(&tries[0]).clone()
+        let furthest = unseen.max_by(|a, b| a.1.unseen_m(&clean).total_cmp(&b.1.unseen_m(&clean)));
+        let (part, flight) = furthest.unwrap_or(&tries[0]).clone();
+        (part, flight, clean)
     })
 }
 
 /// Each maximising sequence in the ideal world.
 fn worst_of(report: &mut Report, effort: &Effort) -> Result<(), ReportError> {
     report.heading("Maximising sequences in the ideal world");
-    let clean = fly("ideal", effort.seed_base, &Worn::default());
-    let bounds = Bounds::new(clean.shaken);
-    let flown = furthest(&bounds, &clean, |worn| fly("ideal", effort.seed_base, worn));
+    let bounds = Bounds::new(fly("ideal", effort.seed_base, &Worn::default()).shaken);
+    let flown = furthest(&bounds, |worn| fly("ideal", effort.seed_base, worn));
     let mut rows = Vec::new();
-    for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
+    for (set, (part, flight, clean)) in bounds.sets.iter().zip(flown) {
         let reached = flight.unseen_m(&clean) / set.bound_m;
         let excluded: Vec<String> = flight.excluded.iter().map(ToString::to_string).collect();
         let holds = flight.seen.is_none() && (REACHED..=LINEAR).contains(&reached);
@@ -135,11 +136,12 @@ fn otherwise(
     fly: impl Fn(&Worn) -> Flown + Sync,
 ) -> Result<(), ReportError> {
     report.heading(&format!("{title}: the ideal world"));
-    let clean = fly(&Worn::default());
-    let (bounds, hover) = (bounds(clean.shaken), Bounds::new(clean.shaken));
-    let flown = furthest(&bounds, &clean, &fly);
+    let shaken = fly(&Worn::default()).shaken;
+    let (bounds, hover) = (bounds(shaken), Bounds::new(shaken));
+    let flown = furthest(&bounds, &fly);
+    let cleans: Vec<Flown> = flown.iter().map(|(.., clean)| clean.clone()).collect();
     let mut rows = Vec::new();
-    for (set, (part, flight)) in bounds.sets.iter().zip(flown) {
+    for (set, (part, flight, clean)) in bounds.sets.iter().zip(flown) {
         let about = hover.sets.iter().find(|of| of.sensors == set.sensors).map_or(f64::NAN, |of| of.bound_m);
         let reached = flight.unseen_m(&clean) / set.bound_m;
         let seen = flight.seen.is_some();
@@ -159,10 +161,10 @@ fn otherwise(
     let headers = ["attacked", "bound, cm", "about hover, cm", "scaled by", "flown, of the bound", "seen"];
     report.table(name, &format!("Maximising sequences: {title}"), &headers, &rows)?;
     let parts = parallel(effort.flights as usize, |i| {
-        let set = &bounds.sets[i % bounds.sets.len()];
-        let (shape, attack) = bounds.drawn(set, effort.seed_base + i as u64);
+        let (set, clean) = (&bounds.sets[i % bounds.sets.len()], &cleans[i % bounds.sets.len()]);
+        let (shape, attack) = set.drawn(effort.seed_base + i as u64);
         let flight = fly(&attack);
-        (shape, flight.unseen_m(&clean) / set.bound_m, flight.seen.is_some())
+        (shape, flight.unseen_m(clean) / set.bound_m, flight.seen.is_some())
     });
     let reached: Vec<f64> = parts.iter().map(|(_, part, _)| *part).collect();
     for (i, (shape, part, _)) in parts.iter().enumerate().filter(|(_, (_, part, _))| *part > LINEAR) {
@@ -188,12 +190,18 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
     let shaken = largest(clean.iter().map(|flight| flight.shaken));
     // A height's bound rises with what is rectified, an IMU's falls.
     let least = clean.iter().map(|flight| flight.usual.rectified_mps2).fold(f64::INFINITY, f64::min);
-    let bounds = Bounds::new(shaken).or(Bounds::new(Shaken { rectified_mps2: least, ..shaken }));
+    let ideal = world == "ideal";
+    let made = if ideal { Bounds::new } else { Bounds::sampled };
+    let bounds = made(shaken).or(made(Shaken { rectified_mps2: least, ..shaken }));
+    // Without noise each set flies with heights that sample when it does the most.
+    let own: Vec<Flown> =
+        parallel(if ideal { bounds.sets.len() } else { 0 }, |i| fly(world, effort.seed_base, &bounds.sets[i].none()));
     let flown = parallel(effort.flights as usize, |i| {
-        let (set, own) = (&bounds.sets[i % bounds.sets.len()], quiet[i % quiet.len()]);
-        let (shape, attack) = bounds.drawn(set, effort.seed_base + i as u64);
-        let flight = fly(world, effort.seed_base + own as u64, &attack);
-        (i, shape, flight.unseen_m(&clean[own]) / set.bound_m, flight)
+        let (set, seed) = (&bounds.sets[i % bounds.sets.len()], quiet[i % quiet.len()]);
+        let (shape, attack) = set.drawn(effort.seed_base + i as u64);
+        let flight = fly(world, effort.seed_base + seed as u64, &attack);
+        let clean = own.get(i % bounds.sets.len()).unwrap_or(&clean[seed]);
+        (i, shape, flight.unseen_m(clean) / set.bound_m, flight)
     });
     let mut by: HashMap<(&str, &str), (u32, u32, Vec<f64>)> = HashMap::new();
     for (i, shape, part, flight) in &flown {
@@ -210,14 +218,15 @@ fn drawn(report: &mut Report, world: &str, effort: &Effort) -> Result<(), Report
         entry.1 += u32::from(*part > LINEAR);
         entry.2.push(*part);
         if *part > LINEAR {
-            let own = quiet[i % quiet.len()];
-            let (_, worn) = bounds.drawn(set, effort.seed_base + *i as u64);
-            let faint = fly(world, effort.seed_base + own as u64, &worn.scaled(FAINT));
+            let seed = quiet[i % quiet.len()];
+            let clean = own.get(i % bounds.sets.len()).unwrap_or(&clean[seed]);
+            let (_, worn) = set.drawn(effort.seed_base + *i as u64);
+            let faint = fly(world, effort.seed_base + seed as u64, &worn.scaled(FAINT));
             let of = Bounds::along(flight.shaken, None, Some(&set.name()));
             let more = json!({
                 "world": world, "attacked": set.name(), "shape": shape, "index": i, "bound_m": set.bound_m, "noise_mps2": flight.shaken.noise_mps2,
                 "rectified_mps2": flight.shaken.rectified_mps2,
-                "of_own_noise": part * set.bound_m / of.sets[0].bound_m, "faint": faint.unseen_m(&clean[own]) / set.bound_m,
+                "of_own_noise": part * set.bound_m / of.sets[0].bound_m, "faint": faint.unseen_m(clean) / set.bound_m,
             });
             report.value("beyond", *part, "of the bound", more);
         }

@@ -7,7 +7,7 @@ pub mod aside;
 use plumbline_agent::attack::{Attack, Bounds as Limits, Channel, Kind, Sequence};
 use plumbline_agent::command::Command;
 use plumbline_agent::control::trajectory::{Shape, Trajectory};
-use plumbline_agent::envelope::flying::Regime;
+use plumbline_agent::envelope::flying::{Loop, Regime};
 use plumbline_agent::envelope::sets::{Asked, Found, Verdict, verdict};
 use plumbline_agent::envelope::{Deviation, Model, Signal, columns, program};
 use plumbline_agent::estimate::lanes::linear::Shaken;
@@ -92,6 +92,8 @@ impl Flown {
 pub struct Worn {
     attacks: Vec<Attack>,
     sequences: Vec<Sequence>,
+    /// When each height samples first, s; nothing is changed of those that none is told of.
+    phases_s: Vec<Option<f64>>,
 }
 
 impl Worn {
@@ -111,7 +113,7 @@ impl Worn {
             magnitude,
             seed,
         };
-        Self { attacks: (1..).zip(attacks).map(one).collect(), sequences: Vec::new() }
+        Self { attacks: (1..).zip(attacks).map(one).collect(), ..Self::default() }
     }
 
     /// The same, times `part`.
@@ -128,6 +130,15 @@ impl Worn {
             worn.add(sensor, channel, HORIZON_S, period_s, attack.rows(first, count).iter().map(|value| part * value));
         }
         worn
+    }
+
+    /// As a scenario has it.
+    fn phases(&self) -> String {
+        let known = (1..).zip(&self.phases_s).filter_map(|(instance, phase_s)| Some((instance, phase_s.as_ref()?)));
+        let sensor = |(instance, phase_s): (u8, &f64)| {
+            format!("[[sensor]]\nkind = \"height\"\ninstance = {instance}\nphase_s = {phase_s:?}\n")
+        };
+        known.map(sensor).collect()
     }
 
     /// Adds `values` to a sensor, one every `period_s`, within what the agent allows.
@@ -257,7 +268,8 @@ fn fly_scripted(
     let text = format!(
         "name = \"envelope\"\nseed = {seed}\nduration_s = {duration_s}\nworld = \"{world}\"\ntick_rate_hz = {TICK_RATE_HZ}\n\
          [[script]]\nat_s = 3\ndo = \"arm\"\n[[script]]\nat_s = 4\ndo = \"mode\"\nmode = \"{mode}\"\n\
-         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}"
+         [[script]]\nat_s = 5\ndo = \"setpoint\"\naltitude_m = 1.0\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n{add}{}",
+        worn.phases()
     );
     let mut scenario = Scenario::from_toml(&text).unwrap_or_else(|e| panic!("{e}\n{text}"));
     scenario.script.steps.extend(last);
@@ -331,6 +343,10 @@ pub fn largest(all: impl IntoIterator<Item = Shaken>) -> Shaken {
 /// A set of sensors, how far it can be pushed unseen, m, and what does.
 #[derive(Debug, Clone)]
 pub struct Set {
+    /// With heights that sample when the sequences are made for.
+    flying: Loop,
+    /// Whether they are to be flown so; else they are flown as the suite has them.
+    moved: bool,
     /// Those attacked.
     pub sensors: Vec<SensorId>,
     /// The bound, m.
@@ -348,6 +364,12 @@ impl Set {
     pub fn name(&self) -> String {
         self.sensors.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
     }
+
+    /// No attack, heights that sample as those do that are attacked.
+    pub fn none(&self) -> Worn {
+        let phases_s = if self.moved { self.flying.phases_s().collect() } else { Vec::new() };
+        Worn { phases_s, ..Worn::default() }
+    }
 }
 
 /// What a question about the default suite is asked with.
@@ -356,17 +378,21 @@ pub fn asked_with(Shaken { noise_mps2, rectified_mps2 }: Shaken) -> EnvelopeQues
     EnvelopeQuestion { noise_mps2, rectified_mps2, ..EnvelopeQuestion::default() }
 }
 
-/// The loop of the default suite, and every set of one or two of its sensors.
+/// Every set of one or two sensors of the default suite.
 pub struct Bounds {
-    asked: Asked,
     /// In order.
     pub sets: Vec<Set>,
 }
 
 impl Bounds {
-    /// Where the lanes measure this of their accelerometers.
+    /// Where the lanes measure this of their accelerometers, flown with heights that sample at the moments at which each set does the most.
     pub fn new(shaken: Shaken) -> Self {
         Self::along(shaken, None, None)
+    }
+
+    /// The same bounds, flown with heights that sample when the suite has it.
+    pub fn sampled(shaken: Shaken) -> Self {
+        Self::made(&asked_with(shaken), false)
     }
 
     /// The same along a heave, m and s, or of one set only.
@@ -378,20 +404,33 @@ impl Bounds {
 
     /// Those of a question.
     pub fn asked(question: &EnvelopeQuestion) -> Self {
+        Self::made(question, true)
+    }
+
+    fn made(question: &EnvelopeQuestion, moved: bool) -> Self {
         let asked = Asked::new(question, None).unwrap();
-        let bounded = |sensors: &Vec<SensorId>| {
-            let Found { verdict, regime, .. } = verdict(&asked.flying, sensors, HORIZON_S, Deviation::Place).unwrap();
+        let of = |flying: &Loop, sensors: &[SensorId]| {
+            let Found { verdict, regime, .. } = verdict(flying, sensors, HORIZON_S, Deviation::Place).unwrap();
             let Verdict::Bounded(bound, _) = verdict else { return None };
-            let mut worst = vec![bound.attack];
+            let mut worst = vec![bound.attack.clone()];
             if regime != Regime::Full {
-                let full = asked.flying.attacked(sensors, Regime::Full).unwrap();
+                let full = flying.attacked(sensors, Regime::Full).unwrap();
                 worst.push(program(&full, HORIZON_S, Deviation::Place).unwrap().solve().unwrap().attack);
             }
-            let binding = bound.binding.unwrap_or("most that may be added");
-            Some(Set { sensors: sensors.clone(), bound_m: bound.upper, reached_m: bound.reached, binding, worst })
+            Some((bound, worst))
         };
-        let sets = asked.sets.iter().filter_map(bounded).collect();
-        Self { asked, sets }
+        let bounded = |sensors: &Vec<SensorId>| {
+            let at_worst = asked.flying.at_worst_moments(sensors);
+            let (bound, mut worst) = of(&at_worst, sensors)?;
+            let flying = if moved { at_worst } else { asked.flying.clone() };
+            if !moved {
+                (_, worst) = of(&flying, sensors)?;
+            }
+            let binding = bound.binding.unwrap_or("most that may be added");
+            let (sensors, bound_m, reached_m) = (sensors.clone(), bound.upper, bound.reached);
+            Some(Set { flying, moved, sensors, bound_m, reached_m, binding, worst })
+        };
+        Self { sets: asked.sets.iter().filter_map(bounded).collect() }
     }
 
     /// Of each set the larger bound of both.
@@ -403,30 +442,33 @@ impl Bounds {
         }
         self
     }
+}
 
-    fn worn(&self, set: &Set, attack: &Signal, part: f64) -> Worn {
-        Worn::new(&self.asked.flying.attacked(&set.sensors, Regime::Full).unwrap(), attack, part)
+impl Set {
+    fn worn(&self, attack: &Signal, part: f64) -> Worn {
+        let worn = Worn::new(&self.flying.attacked(&self.sensors, Regime::Full).unwrap(), attack, part);
+        Worn { phases_s: self.none().phases_s, ..worn }
     }
 
-    /// The maximising sequence of `set`, times `part`.
-    pub fn worst(&self, set: &Set, part: f64) -> Worn {
-        self.worn(set, &set.worst[0], part)
+    /// Its maximising sequence, times `part`.
+    pub fn worst(&self, part: f64) -> Worn {
+        self.worn(&self.worst[0], part)
     }
 
-    /// Each maximising sequence of `set`, times each of `parts`, the whole first.
-    pub fn all_worst<'a>(&'a self, set: &'a Set, parts: &'a [f64]) -> impl Iterator<Item = (f64, Worn)> + 'a {
-        parts.iter().flat_map(move |part| set.worst.iter().map(move |one| (*part, self.worn(set, one, *part))))
+    /// Each maximising sequence, times each of `parts`, the whole first.
+    pub fn all_worst<'a>(&'a self, parts: &'a [f64]) -> impl Iterator<Item = (f64, Worn)> + 'a {
+        parts.iter().flat_map(move |part| self.worst.iter().map(move |one| (*part, self.worn(one, *part))))
     }
 
     /// An attack drawn by `seed`, and what it is: a step, a ramp, a sine or noise in each sensor, or the maximising sequence
     /// smaller or larger.
-    pub fn drawn(&self, set: &Set, seed: u64) -> (&'static str, Worn) {
+    pub fn drawn(&self, seed: u64) -> (&'static str, Worn) {
         let mut dice = Xoshiro256PlusPlus::seed_from_u64(seed);
         let shape = dice.random_range(0..5);
         if shape == 4 {
-            return ("worst", self.worst(set, dice.random_range(0.5..1.3)));
+            return ("worst", self.worst(dice.random_range(0.5..1.3)));
         }
-        let model = self.asked.flying.attacked(&set.sensors, Regime::Full).unwrap();
+        let model = self.flying.attacked(&self.sensors, Regime::Full).unwrap();
         let mut values = Vec::new();
         for ((sensor, every_s, _), (_, _, count)) in model.attacked().into_iter().zip(columns(&model, HORIZON_S)) {
             // From what nobody could see to what everybody must.
@@ -437,6 +479,6 @@ impl Bounds {
             let at = |k| size * drawn_value(shape, k as f64 * every_s, HORIZON_S, period_s, &mut dice);
             values.extend((0..count).map(at));
         }
-        (["step", "ramp", "sine", "noise"][shape], self.worn(set, &Signal::from_vec(values), 1.0))
+        (["step", "ramp", "sine", "noise"][shape], self.worn(&Signal::from_vec(values), 1.0))
     }
 }

@@ -41,6 +41,12 @@ pub(super) const ALTITUDE_M: f64 = 1.0;
 const HEAVE_M: f64 = 0.7;
 /// Shortest and longest swing, s: no limit is reached.
 const SWINGS_S: (f64, f64) = (2.0, 20.0);
+/// Where in a slot attacked heights sample when they do the most, s from its beginning …
+const LATE_S: f64 = 0.015;
+/// … how long before them the first of the healthy ones, and each of the others before that one, s: heights of a slot are taken in order, so
+/// it is another where one that is attacked is the last of all.
+const BEFORE_S: (f64, f64) = (0.015, 0.02);
+const BEFORE_THE_LAST_S: (f64, f64) = (0.025, 0.03);
 /// Slots after which the samples of all heights must repeat.
 const LONGEST_CYCLE: usize = 25;
 
@@ -233,6 +239,33 @@ impl Loop {
             return Err(EnvelopeError::Value { what, value: 0.0, expected: "at least 1" });
         }
         Ok(self)
+    }
+
+    /// The same with heights that sample at those moments at which `set` does the most, of those searched: attacked ones late in a slot,
+    /// the healthy ones before them, so that it is long until the next of these. Attacked ones that are a majority sample evenly. Nobody
+    /// keeps the samples of lasers where the slots are, so a bound is that of these moments.
+    pub fn at_worst_moments(&self, set: &[SensorId]) -> Self {
+        let heights = self.sensors.iter().filter(|sensor| sensor.kind == SensorKind::Height);
+        let (own, others): (Vec<SensorId>, Vec<SensorId>) = heights.partition(|sensor| set.contains(sensor));
+        let spread = if own.len() > others.len() { 1.0 / own.len() as f64 } else { 0.0 };
+        let is_last = own.last().map(|sensor| sensor.instance) > others.last().map(|sensor| sensor.instance);
+        let (first_s, apart_s) = if is_last { BEFORE_THE_LAST_S } else { BEFORE_S };
+        let own = (0..).map(f64::from).zip(own).map(|(n, sensor)| (sensor, n * spread, 0.0));
+        let others = others.into_iter().rev();
+        let others = (0..).map(f64::from).zip(others).map(|(n, sensor)| (sensor, 0.0, first_s + n * apart_s));
+        let mut timing = self.timing.clone();
+        for (sensor, periods, before_s) in own.chain(others) {
+            if let Some(Some((rate_hz, phase_s))) = timing.get_mut(usize::from(sensor.instance) - 1) {
+                let period_s = 1.0 / *rate_hz;
+                *phase_s = (LATE_S - before_s - periods * period_s).rem_euclid(period_s);
+            }
+        }
+        Self { timing, ..self.clone() }
+    }
+
+    /// When each height samples first, s; none of one that is excluded.
+    pub fn phases_s(&self) -> impl Iterator<Item = Option<f64>> + '_ {
+        self.timing.iter().map(|timing| timing.map(|(_, phase_s)| phase_s))
     }
 
     /// How many of `kind` are used.

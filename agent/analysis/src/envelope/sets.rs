@@ -173,8 +173,8 @@ fn class(set: &[SensorId]) -> (Vec<SensorId>, usize) {
     (others, imus)
 }
 
-/// The largest bound of the altitude over all sets of at most `most` sensors of `flying`, m; `None` where a set has none.
-/// Given up where `go_on` says no.
+/// The largest bound of the altitude over all sets of at most `most` sensors of `flying`, m, whenever its heights sample; `None` where a
+/// set has none. Given up where `go_on` says no.
 ///
 /// # Errors
 /// [`EnvelopeError`].
@@ -196,7 +196,7 @@ pub fn largest_m(
         if !go_on() {
             return Err(EnvelopeError::GivenUp);
         }
-        match verdict(flying, &set, horizon_s, Deviation::Place)?.verdict {
+        match verdict(&flying.at_worst_moments(&set), &set, horizon_s, Deviation::Place)?.verdict {
             Verdict::Bounded(bound, _) if bound.upper <= NEAR_HOVER_M => largest_m = largest_m.max(bound.upper),
             Verdict::Bounded(..) | Verdict::Unbounded(_) | Verdict::Unjudged => return Ok(None),
         }
@@ -341,13 +341,14 @@ impl Asked {
 
     /// What `set` can do to the altitude.
     fn above(&self, set: &[SensorId]) -> Result<EnvelopeSet, EnvelopeError> {
-        let of = |deviation| verdict(&self.flying, set, self.horizon_s, deviation);
+        let flying = self.flying.at_worst_moments(set);
+        let of = |deviation| verdict(&flying, set, self.horizon_s, deviation);
         let place = of(Deviation::Place)?;
         let mut found = told(&place.verdict);
         if self.proof
             && let Verdict::Bounded(bound, of) = &place.verdict
         {
-            let model = self.flying.attacked(set, place.regime)?;
+            let model = flying.attacked(set, place.regime)?;
             let sequences = sequences(&model, &bound.attack, self.horizon_s).into_iter();
             let named = |(sensor, period_s, values): (SensorId, f64, Vec<f64>)| EnvelopeSequence {
                 sensor: sensor.to_string(),

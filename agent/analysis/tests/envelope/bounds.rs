@@ -5,8 +5,11 @@ use plumbline_analysis::envelope::program::{Memory, Program, Statistic};
 use plumbline_analysis::envelope::prototype::Prototype;
 use plumbline_analysis::envelope::sets::{Asked, Verdict, verdict};
 use plumbline_analysis::envelope::{Deviation, EnvelopeError, Model, Response, Signal, program, recession_mps};
+use plumbline_core::sensor::suite::Suite;
 use plumbline_proto::ids::SensorId;
 use plumbline_rest::envelope::{EnvelopeMultiplier, EnvelopeQuestion, EnvelopeSet, Swing};
+use rand::{RngExt as _, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
 
 fn of(lasers: usize, attacked: usize, imus: usize, gate_only: bool) -> Prototype {
     let (attacked_lasers, attacked_imus) = ((0..attacked).collect(), (0..imus).collect());
@@ -222,6 +225,31 @@ fn every_set_of_two_of_the_default_suite_has_a_bound_and_all_heights_have_none()
     assert!(of(&["imu 1", "imu 2"]) > of(&["imu 1"]) && of(&["height 1", "imu 1"]) > of(&["height 1"]));
 }
 
+/// GIVEN lasers that sample at moments drawn for each, on ticks, WHEN one is attacked, or one and an IMU, THEN what is told is no less than
+/// what these moments allow; and moments matter.
+#[test]
+fn a_bound_holds_whenever_the_heights_sample() {
+    let mut dice = Xoshiro256PlusPlus::seed_from_u64(5);
+    for (names, draws) in [(&["height 1"][..], 20), (&["height 3"], 20), (&["height 1", "imu 1"], 8)] {
+        let of = |suite: Suite| {
+            let sensors = Some(names.iter().map(|name| (*name).to_owned()).collect());
+            Asked::new(&EnvelopeQuestion { sensors, ..EnvelopeQuestion::default() }, Some(suite)).unwrap()
+        };
+        let told = of(Suite::string_rig()).answer(|_| true).unwrap().sets[0].altitude_m.unwrap();
+        let drawn = (0..draws).map(|_| {
+            let mut suite = Suite::string_rig();
+            suite.heights.iter_mut().for_each(|h| h.timing.phase_s = 0.005 * f64::from(dice.random_range(0..20_u8)));
+            let asked = of(suite);
+            let found = verdict(&asked.flying, &asked.sets[0], 10.0, Deviation::Place).unwrap();
+            let Verdict::Bounded(bound, _) = found.verdict else { panic!("{names:?} has no bound") };
+            bound.upper
+        });
+        let (least, most) = drawn.fold((f64::INFINITY, 0.0_f64), |(l, m), own| (l.min(own), m.max(own)));
+        println!("{names:?}: {least:.4} to {most:.4} m, told {told:.4}");
+        assert!(most <= 1.01 * told && least < 0.9 * told, "{names:?}: {least} to {most} of {told}");
+    }
+}
+
 #[test]
 fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_what_it_says() {
     for (names, regime) in [
@@ -239,9 +267,10 @@ fn the_bound_is_the_sum_of_the_certificate_told_and_the_sequence_told_reaches_wh
         assert!(((sum + told.added_m) / set.altitude_m.unwrap() - 1.0).abs() < 1e-9, "{names:?}: {sum}");
         assert_eq!(told.regime, if regime == Regime::Full { "full" } else { "outvoted" });
         // The rest is what they leave of c, in the program as it stands.
-        let model = asked.flying.attacked(&asked.sets[0], regime).unwrap();
+        let flying = asked.flying.at_worst_moments(&asked.sets[0]);
+        let model = flying.attacked(&asked.sets[0], regime).unwrap();
         let program = program(&model, told.end_s, Deviation::Place).unwrap();
-        let found = verdict(&asked.flying, &asked.sets[0], 5.0, Deviation::Place).unwrap();
+        let found = verdict(&flying, &asked.sets[0], 5.0, Deviation::Place).unwrap();
         let Verdict::Bounded(bound, _) = found.verdict else { panic!("{names:?} has no bound") };
         let mut left = program.objective.clone();
         for (one, of) in told.multipliers.iter().zip(&bound.certificate) {

@@ -8,27 +8,31 @@ use plumbline_proto::v1::SensorKind;
 use plumbline_rest::envelope::{AttackQuestion, EnvelopeQuestion, PreparedAttack};
 use plumbline_support::envelope::aside::{ASIDE_S, Aside, CIRCLE, SWUNG};
 use plumbline_support::envelope::{
-    Bounds, Flown, HORIZON_S, LINEAR, Worn, asked_with, fly, fly_circling, fly_heaving, fly_held,
+    Bounds, Flown, HORIZON_S, LINEAR, Set, Worn, asked_with, fly, fly_circling, fly_heaving, fly_held,
 };
 
 #[test]
 fn unseen_attacks_stay_within_their_bounds_and_the_worst_come_near() {
-    let clean = fly("ideal", 1, &Worn::default());
-    assert!(clean.seen.is_none() && clean.altitude_m.iter().all(|z| (z - 1.0).abs() < 0.02), "{:?}", clean.excluded);
-    let bounds = Bounds::new(clean.shaken);
+    let still = fly("ideal", 1, &Worn::default());
+    assert!(still.seen.is_none() && still.altitude_m.iter().all(|z| (z - 1.0).abs() < 0.02), "{:?}", still.excluded);
+    let bounds = Bounds::new(still.shaken);
+    let moved_m = |set: &Set, attack: &Worn| {
+        let flight = fly("ideal", 1, attack);
+        (flight.unseen_m(&fly("ideal", 1, &set.none())), flight)
+    };
     let worst = || {
-        for names in ["height 2", "imu 1", "height 1, imu 1"] {
+        for (names, least) in [("height 2", 0.9), ("imu 1", 0.9), ("height 1, imu 1", 0.87)] {
             let set = bounds.sets.iter().find(|set| set.name() == names).unwrap();
-            let flight = fly("ideal", 1, &bounds.worst(set, 1.0));
-            let part = flight.unseen_m(&clean) / set.bound_m;
+            let (moved_m, flight) = moved_m(set, &set.worst(1.0));
+            let part = moved_m / set.bound_m;
             println!("{names}: {part:.3} of {:.4} m, excluded {:?}", set.bound_m, flight.excluded);
-            assert!(flight.seen.is_none() && part > 0.9 && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
+            assert!(flight.seen.is_none() && part > least && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
         }
     };
     let drawn = || {
         for (set, seed) in bounds.sets.iter().cycle().step_by(5).zip(1..=6) {
-            let (shape, attack) = bounds.drawn(set, seed);
-            let part = fly("ideal", 1, &attack).unseen_m(&clean) / set.bound_m;
+            let (shape, attack) = set.drawn(seed);
+            let part = moved_m(set, &attack).0 / set.bound_m;
             println!("{}, {shape}: {part:.3}", set.name());
             assert!(part <= LINEAR, "{}, {shape} of seed {seed}: {part}", set.name());
         }
@@ -99,8 +103,8 @@ fn along_a_heave_the_worst_come_near_their_bounds_too() {
     for names in ["height 2", "imu 2", "height 2, imu 2"] {
         let bounds = Bounds::along(clean.shaken, Some(heave), Some(names));
         let set = &bounds.sets[0];
-        let flight = fly_heaving("ideal", 3, &bounds.worst(set, 1.0), heave);
-        let part = flight.unseen_m(&clean) / set.bound_m;
+        let flight = fly_heaving("ideal", 3, &set.worst(1.0), heave);
+        let part = flight.unseen_m(&fly_heaving("ideal", 3, &set.none(), heave)) / set.bound_m;
         println!("{names}: {part:.3} of {:.4} m, excluded {:?}", set.bound_m, flight.excluded);
         assert!(flight.seen.is_none() && part > 0.9 && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
     }
@@ -143,8 +147,9 @@ fn under_motion_capture_heights_move_it_by_next_to_nothing() {
         let bounds =
             Bounds::asked(&EnvelopeQuestion { sensors, more: Some("pose".into()), ..asked_with(clean.shaken) });
         let set = &bounds.sets[0];
-        let flight = fly_held("ideal", 1, &bounds.worst(set, 1.0), HORIZON_S);
-        let part = flight.unseen_m(&clean) / set.bound_m;
+        let flight = fly_held("ideal", 1, &set.worst(1.0), HORIZON_S);
+        // What the linear loop is off by does not shrink with the attack.
+        let part = (flight.unseen_m(&fly_held("ideal", 1, &set.none(), HORIZON_S)) - 2e-5) / set.bound_m;
         println!("{names}: {part:.3} of {:.5} m, excluded {:?}", set.bound_m, flight.excluded);
         assert!(flight.seen.is_none() && part > least && part <= LINEAR, "{names}: {part} {:?}", flight.excluded);
     }
@@ -160,9 +165,12 @@ fn where_imus_are_shaken_heights_move_it_further_and_their_bounds_say_so() {
         let seed = base + index % 25;
         let clean = fly("datasheet", seed, &Worn::default());
         let at_rest = Shaken { rectified_mps2: 0.0, ..clean.shaken };
-        let [bounds, at_rest] = [clean.shaken, at_rest].map(|shaken| Bounds::along(shaken, None, Some(name)));
-        let [set, of_rest] = [&bounds.sets[0], &at_rest.sets[0]];
-        let (shape, attack) = bounds.drawn(set, base + index);
+        let of = |shaken| {
+            let all = Bounds::sampled(shaken).sets;
+            all.into_iter().find(|set| set.name() == name).unwrap()
+        };
+        let [set, of_rest] = [clean.shaken, at_rest].map(of);
+        let (shape, attack) = set.drawn(base + index);
         let moved_m = fly("datasheet", seed, &attack).unseen_m(&clean);
         println!(
             "{name}, {shape}: {moved_m:.4} of {:.4} m, {:.4} at rest, {:?}",

@@ -200,7 +200,7 @@ pub fn of_generators(report: &mut Report, effort: &Effort) -> Result<(), ReportE
 
 /// The maximising sequences of some sets.
 fn optimal(report: &mut Report, effort: &Effort, flights: u64, shaken: Shaken, rows: &mut Vec<Vec<String>>) {
-    let bounds = Bounds::new(shaken);
+    let bounds = Bounds::sampled(shaken);
     for names in ["height 2", "imu 1", "height 1, imu 1"] {
         let Some(set) = bounds.sets.iter().find(|set| set.name() == names) else { continue };
         let sensors = Some(set.sensors.iter().map(ToString::to_string).collect());
@@ -211,7 +211,7 @@ fn optimal(report: &mut Report, effort: &Effort, flights: u64, shaken: Shaken, r
         let question = AttackQuestion { generator: None, attacks, ..question };
         let found = power(&question, None, &[0.0, 1.0]).unwrap_or_default();
         let quiet = fly_all(effort, flights, &set.sensors, &|_| Worn::default());
-        let seen = fly_all(effort, flights, &set.sensors, &|_| bounds.worst(set, 1.0));
+        let seen = fly_all(effort, flights, &set.sensors, &|_| set.worst(1.0));
         let [Some(none), Some(model)] = &found[..] else { continue };
         let areas = [area(&quiet.scores, &seen.scores), area(&none.scores, &model.scores)];
         rows.push(tell(report, "optimal", names, &seen, Some(model), areas));
