@@ -294,7 +294,7 @@ fn delay(of: &Altitudes, rise: &Rise) -> Result<Delay, CalibrationError> {
     let points: Vec<[f64; 2]> = as_stamped.iter().flat_map(Stretch::counted).map(|[r, j]| [j, r]).collect();
     let ends = points.iter().fold([0.0_f64; 2], |[low, high], [climb, _]| [low.min(*climb), high.max(*climb)]);
     let picture = Plot {
-        title: format!("{}: {:.0} ± {:.1} ms late", of.name, 1e3 * delay_s, 1e3 * sigma_s),
+        title: format!("{}: delay {:.0} ± {:.1} ms", of.name, 1e3 * delay_s, 1e3 * sigma_s),
         x: "climb by the IMU, m/s".into(),
         y: "altitude off as stamped, m".into(),
         log: false,
@@ -334,7 +334,8 @@ pub fn delays(samples: &[Sample], sensors: &[Altitudes]) -> Result<CalibrationFi
         return Err(refused.unwrap_or(none));
     }
     file.residual.value = (squares / file.samples as f64).sqrt();
-    file.notes.push("add each to `delay_s` of its device: that is taken off its stamps".into());
+    file.notes
+        .push("add each to delay_s of its device in the agent's configuration: that is taken off its stamps".into());
     Ok(file)
 }
 

@@ -62,8 +62,9 @@ pub(super) fn Use(id: String, kind: String, imu: u32, date: String) -> impl Into
     if kind == "allan" {
         return view! { <p class="quiet">"It tells of noise and corrects nothing: compare it with the data sheet of the sensor."</p> }.into_any();
     }
+    // Its notes say where they belong.
     if kind == "delays" {
-        return view! { <p class="quiet">"Add each to " <code>"delay_s"</code> " of its device in the agent's configuration: that is taken off its stamps."</p> }.into_any();
+        return ().into_any();
     }
     if !corrects(&kind) {
         let line = format!("calibrations = [\"{id}.json\"]");
