@@ -114,79 +114,66 @@ impl Rise {
     }
 }
 
-/// Samples of one stretch, less what altitude, climb and bias there explain: what is left of each, m, what a second of delay makes of it,
-/// m/s, and whether it is near enough to count.
-struct Stretch {
-    left: Vec<[f64; 2]>,
-    counts: Vec<bool>,
-}
+/// Samples of one stretch, less what altitude, climb and bias there explain: what is left of each, m, and what a second of delay makes of
+/// it, m/s.
+type Stretch = Vec<[f64; 2]>;
 
-impl Stretch {
-    /// Of `measured` with a delay of `delay_s`; `None` of too few.
-    fn of(measured: &[[f64; 2]], counts: &[bool], rise: &Rise, delay_s: f64) -> Option<Self> {
-        let middle_s = 0.5 * (measured.first()?[0] + measured.last()?[0]);
-        let mut rows = Vec::with_capacity(measured.len());
-        let mut counted = Vec::with_capacity(measured.len());
-        for ([stamp_s, altitude_m], counts) in measured.iter().zip(counts) {
-            let [climb, risen] = rise.at(stamp_s - delay_s)?;
-            rows.push((stamp_s - middle_s, [altitude_m - risen, climb]));
-            counted.push(*counts);
+/// Of `measured` with a delay of `delay_s`; `None` of too few.
+fn stretch(measured: &[[f64; 2]], rise: &Rise, delay_s: f64) -> Option<Stretch> {
+    if measured.len() < STRETCH_MIN {
+        return None;
+    }
+    let middle_s = 0.5 * (measured.first()?[0] + measured.last()?[0]);
+    let row = |[stamp_s, altitude_m]: &[f64; 2]| {
+        let [climb, risen] = rise.at(stamp_s - delay_s)?;
+        Some([altitude_m - risen, climb])
+    };
+    let mut left: Stretch = measured.iter().map(row).collect::<Option<_>>()?;
+    // Orthonormal polynomials (Gram–Schmidt).
+    let mut basis: Vec<Vec<f64>> = Vec::with_capacity(3);
+    for power in 0..3 {
+        let mut next: Vec<f64> = measured.iter().map(|[t, _]| ((t - middle_s) / STRETCH_S).powi(power)).collect();
+        for known in &basis {
+            let share = along(&next, known);
+            next.iter_mut().zip(known).for_each(|(next, known)| *next -= share * known);
         }
-        if counted.iter().filter(|counts| **counts).count() < STRETCH_MIN {
+        let norm = along(&next, &next).sqrt();
+        if norm < 1e-6 {
             return None;
         }
-        // Orthonormal polynomials over those that count (Gram–Schmidt), taken out of all.
-        let mut basis: Vec<Vec<f64>> = Vec::with_capacity(3);
-        for power in 0..3 {
-            let mut next: Vec<f64> = rows.iter().map(|(tau_s, _)| (tau_s / STRETCH_S).powi(power)).collect();
-            for known in &basis {
-                let share: f64 = along(&next, known, &counted);
-                next.iter_mut().zip(known).for_each(|(next, known)| *next -= share * known);
-            }
-            let norm = along(&next, &next, &counted).sqrt();
-            if norm < 1e-6 {
-                return None;
-            }
-            next.iter_mut().for_each(|next| *next /= norm);
-            basis.push(next);
-        }
-        let mut left: Vec<[f64; 2]> = rows.into_iter().map(|(_, row)| row).collect();
-        for known in &basis {
-            for column in 0..2 {
-                let of: Vec<f64> = left.iter().map(|row| row[column]).collect();
-                let share = along(&of, known, &counted);
-                left.iter_mut().zip(known).for_each(|(row, known)| row[column] -= share * known);
-            }
-        }
-        Some(Self { left, counts: counted })
+        next.iter_mut().for_each(|next| *next /= norm);
+        basis.push(next);
     }
-
-    fn counted(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
-        self.left.iter().zip(&self.counts).filter(|(_, counts)| **counts).map(|(row, _)| *row)
+    for known in &basis {
+        let shares =
+            left.iter().zip(known).fold([0.0, 0.0], |[r, j], (row, known)| [r + row[0] * known, j + row[1] * known]);
+        for (row, known) in left.iter_mut().zip(known) {
+            row.iter_mut().zip(shares).for_each(|(value, share)| *value -= share * known);
+        }
     }
+    Some(left)
 }
 
-fn along(one: &[f64], other: &[f64], counts: &[bool]) -> f64 {
-    one.iter().zip(other).zip(counts).filter(|(_, counts)| **counts).map(|((a, b), _)| a * b).sum()
+fn along(one: &[f64], other: &[f64]) -> f64 {
+    one.iter().zip(other).map(|(a, b)| a * b).sum()
 }
 
 /// One sensor's stretches.
 struct Fitting<'a> {
     rise: &'a Rise,
-    /// Measurements, and whether each counts.
-    parts: Vec<(Vec<[f64; 2]>, Vec<bool>)>,
+    /// Measurements that count.
+    parts: Vec<Vec<[f64; 2]>>,
 }
 
 impl Fitting<'_> {
     fn stretches(&self, delay_s: f64) -> Vec<Stretch> {
-        self.parts.iter().filter_map(|(part, counts)| Stretch::of(part, counts, self.rise, delay_s)).collect()
+        self.parts.iter().filter_map(|part| stretch(part, self.rise, delay_s)).collect()
     }
 
     /// What is left, mean square, m².
     fn cost(&self, delay_s: f64) -> f64 {
         let stretches = self.stretches(delay_s);
-        let (sum, n) =
-            stretches.iter().flat_map(Stretch::counted).fold((0.0, 0.0), |(s, n), [r, _]| (s + r * r, n + 1.0));
+        let (sum, n) = stretches.iter().flatten().fold((0.0, 0.0), |(s, n), [r, _]| (s + r * r, n + 1.0));
         sum / n
     }
 
@@ -194,8 +181,8 @@ impl Fitting<'_> {
     fn nearest(&self, mut delay_s: f64) -> f64 {
         for _ in 0..8 {
             let stretches = self.stretches(delay_s);
-            let rows = || stretches.iter().flat_map(Stretch::counted);
-            let (gradient, curvature) = rows().fold((0.0, 0.0), |(g, h), [r, j]| (g + r * j, h + j * j));
+            let rows = stretches.iter().flatten();
+            let (gradient, curvature) = rows.fold((0.0, 0.0), |(g, h), [r, j]| (g + r * j, h + j * j));
             // A delay of d takes climb · d off an altitude.
             let step_s = -gradient / f64::max(curvature, 1e-12);
             delay_s = (delay_s + step_s.clamp(-GRID_S, GRID_S)).clamp(FROM_S, TO_S);
@@ -206,7 +193,7 @@ impl Fitting<'_> {
     /// Leaves out what is far off at `delay_s`.
     fn keep_near(&mut self, delay_s: f64) {
         let stretches = self.stretches(delay_s);
-        let mut off: Vec<f64> = stretches.iter().flat_map(|stretch| &stretch.left).map(|[r, _]| r.abs()).collect();
+        let mut off: Vec<f64> = stretches.iter().flatten().map(|[r, _]| r.abs()).collect();
         if off.is_empty() {
             return;
         }
@@ -214,9 +201,10 @@ impl Fitting<'_> {
         // Of white noise half lies within 0.6745 sigmas.
         let sigma_m = *off.select_nth_unstable_by(half, f64::total_cmp).1 / 0.6745;
         let far = FAR_SIGMAS * sigma_m.max(1e-4);
-        for (part, counts) in &mut self.parts {
-            if let Some(stretch) = Stretch::of(part, counts, self.rise, delay_s) {
-                *counts = stretch.left.iter().map(|[r, _]| r.abs() <= far).collect();
+        for part in &mut self.parts {
+            if let Some(left) = stretch(part, self.rise, delay_s) {
+                let mut near = left.iter().map(|[r, _]| r.abs() <= far);
+                part.retain(|_| near.next().unwrap_or(true));
             }
         }
     }
@@ -241,16 +229,15 @@ fn delay(of: &Altitudes, rise: &Rise) -> Result<Delay, CalibrationError> {
     }
     let (first_s, last_s) =
         rise.at.first().zip(rise.at.last()).map_or((0.0, 0.0), |(a, b)| (a[0] + TO_S, b[0] + FROM_S));
-    let mut parts: Vec<(Vec<[f64; 2]>, Vec<bool>)> = Vec::new();
+    let mut parts: Vec<Vec<[f64; 2]>> = Vec::new();
     let mut place = usize::MAX;
     for one in of.measured.iter().filter(|[stamp_s, _]| (first_s..=last_s).contains(stamp_s)) {
         let number = ((one[0] - first_s) / STRETCH_S) as usize;
         if std::mem::replace(&mut place, number) != number {
-            parts.push((Vec::new(), Vec::new()));
+            parts.push(Vec::new());
         }
-        if let Some((part, counts)) = parts.last_mut() {
+        if let Some(part) = parts.last_mut() {
             part.push(*one);
-            counts.push(true);
         }
     }
     let mut fitting = Fitting { rise, parts };
@@ -269,7 +256,7 @@ fn delay(of: &Altitudes, rise: &Rise) -> Result<Delay, CalibrationError> {
     fitting.keep_near(delay_s);
     delay_s = fitting.nearest(delay_s);
     let stretches = fitting.stretches(delay_s);
-    let clustered = stretches.iter().map(|s| s.counted().fold([0.0, 0.0], |[g, h], [r, j]| [g + r * j, h + j * j]));
+    let clustered = stretches.iter().map(|s| s.iter().fold([0.0, 0.0], |[g, h], [r, j]| [g + r * j, h + j * j]));
     let (scatter, curvature) = clustered.fold((0.0, 0.0), |(s, h), [g, own]| (s + g * g, h + own));
     let many = stretches.len() as f64;
     let sigma_s = (many / (many - 1.0) * scatter).sqrt() / curvature;
@@ -285,13 +272,13 @@ fn delay(of: &Altitudes, rise: &Rise) -> Result<Delay, CalibrationError> {
         let expected = "between -0.09 and 0.49: stamps of another clock?";
         return Err(CalibrationError::Value { what: format!("{parameter} (s)"), value: delay_s, expected });
     }
-    let samples = stretches.iter().flat_map(Stretch::counted).count();
+    let samples = stretches.iter().flatten().count();
     let rms_m = fitting.cost(delay_s).sqrt();
     if rms_m > RESIDUAL_MAX_M {
         return Err(CalibrationError::BadFit { found: rms_m, limit: RESIDUAL_MAX_M, unit: "m" });
     }
     let as_stamped = fitting.stretches(0.0);
-    let points: Vec<[f64; 2]> = as_stamped.iter().flat_map(Stretch::counted).map(|[r, j]| [j, r]).collect();
+    let points: Vec<[f64; 2]> = as_stamped.iter().flatten().map(|[r, j]| [*j, *r]).collect();
     let ends = points.iter().fold([0.0_f64; 2], |[low, high], [climb, _]| [low.min(*climb), high.max(*climb)]);
     let picture = Plot {
         title: format!("{}: delay {:.0} ± {:.1} ms", of.name, 1e3 * delay_s, 1e3 * sigma_s),
