@@ -2,7 +2,8 @@
 //!
 //! s = m f_z − T is what the accelerometers feel along the thrust axis beyond the thrust of the applied commands. Thrust is
 //! known to some percent only, and its error stays; what holds the vehicle up comes at once. So s counts from its
-//! least value of the last 5 to 10 s on. Whoever integrates against a support sags when it lets go.
+//! least value of the last 5 to 10 s on, and only as far as vibration does not make it rise as well. Whoever integrates against
+//! a support sags when it lets go; whoever takes vibration for one never comes down to his setpoint.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -23,6 +24,14 @@ const MEMORY_S: f64 = 0.015;
 const SMOOTH_S: f64 = 0.025;
 /// The least value is that of the present span of this length and of the one before, s.
 const SPAN_S: f64 = 5.0;
+/// Time constants of the mean that vibration is counted from, and of what is usual of it, s.
+const MEAN_S: f64 = 0.2;
+const USUAL_S: f64 = 3.0;
+/// Further from the mean than so many times the usual, and this part of the weight, is none.
+const VIBRATES: f64 = 3.0;
+const QUIET: f64 = 0.005;
+/// How far above its least value of some seconds vibration brings s, in its mean absolute values: ±3 σ of a normal one.
+const RISES: f64 = 7.5;
 /// Held up from this part of the weight on …
 const HELD: f64 = 0.06;
 /// … until below this.
@@ -34,6 +43,9 @@ pub struct Support {
     rotors: Rotors,
     latest: [Option<(FlightTime, f64)>; MAX_IMUS],
     smooth_n: Option<f64>,
+    /// Mean of it, N, and its usual distance from there, N.
+    mean_n: f64,
+    vibrates_n: f64,
     /// Of the present span and of the one before.
     least_n: [Option<f64>; 2],
     span_s: f64,
@@ -66,9 +78,15 @@ impl Support {
             return;
         }
         let now_n = airframe.mass_kg * force - airframe.wrench(self.rotors.speed_radps()).thrust_n;
-        let before_n = self.smooth_n.unwrap_or(now_n);
-        let smooth_n = before_n + (now_n - before_n) * (dt_s / (SMOOTH_S + dt_s));
+        let part = |of_s: f64| dt_s / (of_s + dt_s);
+        let (before_n, mean_n) = self.smooth_n.map_or((now_n, now_n), |before_n| (before_n, self.mean_n));
+        let smooth_n = before_n + (now_n - before_n) * part(SMOOTH_S);
         self.smooth_n = Some(smooth_n);
+        self.mean_n = mean_n + (smooth_n - mean_n) * part(MEAN_S);
+        let first = self.least_n[1].is_none() && self.span_s < USUAL_S;
+        let most_n = VIBRATES * self.vibrates_n + QUIET * airframe.weight_n();
+        let off_n = (smooth_n - self.mean_n).abs().min(if first { f64::INFINITY } else { most_n });
+        self.vibrates_n += (off_n - self.vibrates_n) * part(USUAL_S);
         self.span_s += dt_s;
         if self.span_s > SPAN_S {
             self.span_s = 0.0;
@@ -76,7 +94,7 @@ impl Support {
         }
         self.least_n[0] = Some(self.least_n[0].map_or(smooth_n, |least| least.min(smooth_n)));
         let limit = if self.held { RELEASED } else { HELD };
-        self.held = self.risen_n() > limit * airframe.weight_n();
+        self.held = self.risen_n() > limit * airframe.weight_n() + RISES * self.vibrates_n;
     }
 
     /// Force that holds the vehicle up, N; zero while nothing does.
@@ -135,6 +153,27 @@ mod tests {
         // What lasts is taken for thrust.
         run(&mut support, 11.0, 9.81 * 1.2, 0.6, true);
         assert_eq!(support.force_n(), 0.0);
+    }
+
+    /// GIVEN a vehicle that hovers and is shaken by 2 m/s² WHEN nothing else holds it THEN no support is felt, and one of half the weight is.
+    #[test]
+    fn vibration_is_no_support() {
+        let mut support = Support::default();
+        let held = |support: &mut Support, seconds: f64, f_z: f64| {
+            let ticks = (seconds / DT_S) as u64;
+            let held = (0..ticks).filter(|k| {
+                let shaken = 2.0 * std::f64::consts::SQRT_2 * (*k as f64 * *k as f64 * 0.377).sin();
+                run(support, DT_S, f_z + shaken, 0.6, true);
+                support.force_n() > 0.0
+            });
+            held.count() as f64 / ticks as f64
+        };
+        run(&mut support, 1.0, 9.81, 0.6, false);
+        held(&mut support, 5.0, 9.81);
+        let free = held(&mut support, 30.0, 9.81);
+        assert!(free < 0.01, "{free}");
+        let on_a_string = held(&mut support, 1.0, 9.81 * 1.5);
+        assert!(on_a_string > 0.8, "{on_a_string}");
     }
 
     #[test]
