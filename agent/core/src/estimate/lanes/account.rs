@@ -6,7 +6,7 @@ use plumbline_proto::v1::{DecoderStatus, FlagReason, SensorKind};
 
 use super::integral::Six;
 use super::slot::Slot;
-use super::{LANES, Lanes, part};
+use super::{LANES, Lanes, noise, part};
 use crate::estimate::ekf_bias::aiding::{HORIZONTAL_MEMORY_S, VERTICAL_MEMORY_S};
 use crate::estimate::ekf_bias::covariance::ix;
 use crate::estimate::fdir::isolation::Evidence;
@@ -110,6 +110,13 @@ impl Lanes {
         // Of the mean of the lanes, not of one.
         let share: f64 = self.fused.mixture.weights.iter().map(|weight| weight * weight).sum();
         velocity_sigma_mps.z *= (1.0 - CLIMB_OWN + CLIMB_OWN * share.min(1.0)).sqrt();
+        // Tilt is off by the lanes' own biases of accelerometers, and by what all of them rectify alike.
+        let common = state.world_from_body.to_rotation_matrix().matrix().map(|x| x * x) * self.fused.rectified_squares;
+        let mut attitude_sigma_rad = sigma(ix::ATTITUDE);
+        for (about, along) in [(0, 1), (1, 0)] {
+            let own = attitude_sigma_rad[about] * share.min(1.0).sqrt();
+            attitude_sigma_rad[about] = own.hypot(noise::lasting_mps2(common[along]) / self.model.imus.gravity_mps2);
+        }
         let altitude_known = self.aided.vertical.within(now, VERTICAL_MEMORY_S);
         e.motion = Some(Motion {
             position_enu_m: state.position_enu_m,
@@ -123,7 +130,7 @@ impl Lanes {
         e.world_from_body = state.world_from_body * self.rates.lead();
         e.accel_bias_mps2 = Some(lane.accel_bias);
         e.gyro_bias_radps = Some(lane.gyro_bias);
-        e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
+        e.attitude_sigma_rad = Some(attitude_sigma_rad);
         e.body_rates_radps = self.rates.rate_radps();
     }
 

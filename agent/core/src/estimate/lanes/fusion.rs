@@ -187,13 +187,14 @@ impl Lanes {
         let common = self.common(&slot.imus);
         let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
         let rectified = noise::rectified(&shaken);
-        let square = &mut self.fused.rectified_square;
-        *square += (rectified[2].powi(2) - *square) * USUAL_GAIN;
+        let squares = &mut self.fused.rectified_squares;
+        *squares += (part(&rectified.component_mul(&rectified), 0) - *squares) * USUAL_GAIN;
         let carried = self.clock.unladen < CARRIED_SLOTS;
         let share = if carried { noise::share(rectified[2]) } else { 0.0 };
         self.fused.mixture = Mixture { thrust: share, ..self.fused.mixture.shaken(&shaken) };
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];
+        let mut corrected_mps = 0.0;
         for (i, (lane, heard)) in self.lanes.iter_mut().zip(&mut heard).enumerate() {
             if self.fused.silent[i] > SILENT_SLOTS {
                 continue;
@@ -206,17 +207,20 @@ impl Lanes {
             lane.predict(end, &mean, &sigma, &self.model);
             let named = i == self.fused.best;
             let residuals = if named { &mut self.estimate.residuals } else { &mut scratch };
+            let climb_mps = lane.at.velocity_enu_mps.z;
             let mut correction = Correction { lane, heard: Heard::default(), residuals, named };
             correction.take(slot, &around, &sigma);
             let Heard { surprise, rows, .. } = correction.heard;
             let up = lane.at.world_from_body * Vector3::z();
             if lane.is_sound() {
+                corrected_mps += self.fused.mixture.weights[i] * (lane.at.velocity_enu_mps.z - climb_mps);
                 *heard = Some(Heard { surprise, rows, stuck: slot.stuck[i], up, z_m: lane.at.position_enu_m.z });
             } else {
                 let best = self.fused.at;
                 lane.begin(&best, &Six::zeros(), [1.0, 0.5, 0.1, 0.2, 0.01], &self.model);
             }
         }
+        self.thrust.learn(corrected_mps, share, slot.thrust_mps2);
         heard
     }
 

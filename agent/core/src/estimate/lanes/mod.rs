@@ -127,8 +127,8 @@ struct Fused {
     announced: PerLane<bool>,
     /// How far apart in tilt lanes that weigh much usually are, at most, rad.
     usual_rad: f64,
-    /// What accelerometers usually rectify along the thrust, squared, m²/s⁴.
-    rectified_square: f64,
+    /// What accelerometers usually rectify along each axis of the body, squared, m²/s⁴.
+    rectified_squares: Vector3<f64>,
     /// Slots in a row in which lanes that weigh much contradict each other.
     contradicted: u32,
 }
@@ -183,7 +183,7 @@ impl Lanes {
                 silent: [0; LANES],
                 announced: [false; LANES],
                 usual_rad: 0.0,
-                rectified_square: 0.0,
+                rectified_squares: Vector3::zeros(),
                 contradicted: 0,
             },
             predictor,
@@ -229,7 +229,7 @@ impl Lanes {
     pub fn shaken(&self) -> Shaken {
         let used = self.weights().into_iter().enumerate().filter(|(_, weight)| *weight > 0.0).map(|(lane, _)| lane);
         let noise_mps2 = used.map(|lane| self.judges.noise.measured(lane)[2]).fold(0.0, f64::max);
-        Shaken { noise_mps2, rectified_mps2: self.fused.rectified_square.sqrt() }
+        Shaken { noise_mps2, rectified_mps2: self.fused.rectified_squares.z.sqrt() }
     }
 
     /// Nothing of what was before belongs to this flight, but for what has been learned of the sensors.

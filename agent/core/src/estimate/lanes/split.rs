@@ -26,7 +26,7 @@ const BACK: f64 = 0.8;
 const FRESH_S: f64 = 0.35;
 /// With so much of the acceleration from the thrust as commanded, in the mean, accelerometers have no voice; and part of that
 /// mean that a slot is.
-const VOICELESS: f64 = 0.4;
+const VOICELESS: f64 = 0.6;
 const THRUST_GAIN: f64 = 0.04;
 /// Agreement that ends a contradiction, s.
 const AGREED_S: f64 = 1.0;
