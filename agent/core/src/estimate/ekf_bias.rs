@@ -3,6 +3,7 @@
 //! The IMUs are the process input, not measurements: their errors are the biases and the noise in Q.
 //! \[Paternain\] feeds velocities integrated from the accelerometer back as measurements, which counts the
 //! same noise twice (errata 8); here velocity is predicted by them and corrected by what really measures it.
+//! Q has what data sheets say, and what vibration leaves of it, measured from sample to sample.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -42,7 +43,7 @@ use self::align::{Aligned, Alignment};
 use self::covariance::{Covariance, ErrorState, Noise, ix};
 use self::heading::Headings;
 use self::history::History;
-use self::imus::{Imus, Inertial, Rest};
+use self::imus::{Imus, Inertial, Rest, Shaken};
 use self::vertical::{Barometers, Heights};
 use super::aiding::floor::Floor;
 use super::aiding::freshness::Freshness;
@@ -91,6 +92,7 @@ pub struct EkfBias {
     now: Option<FlightTime>,
     /// The last consensus of the IMUs.
     inertial: Option<Inertial>,
+    shaken: Shaken,
     rest: Rest,
     /// Over the floor it stands on, m.
     standing_m: f64,
@@ -138,6 +140,7 @@ impl EkfBias {
             alignment: Alignment::new(),
             now: None,
             inertial: None,
+            shaken: Shaken::default(),
             rest: Rest::default(),
             standing_m: 0.0,
             aided: Aided::default(),
@@ -296,9 +299,11 @@ impl EkfBias {
         let share = 1.0 / self.imus.used() as f64;
         let density =
             |of: &TriaxialModel| Vector3::repeat(of.noise_density.powi(2) * share + of.common_noise_density.powi(2));
+        let squares = self.state.kinematics.world_from_body.to_rotation_matrix().matrix().map(|x| x * x);
+        let [shaken, turned] = self.shaken.densities().map(|density| squares * density);
         let noise = Noise {
-            accel: density(accel).add_scalar(unseen_mps * unseen_mps / dt_s),
-            gyro: density(gyro),
+            accel: density(accel).add_scalar(unseen_mps * unseen_mps / dt_s) + shaken,
+            gyro: density(gyro) + turned,
             accel_bias: (accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
             gyro_bias: (gyro.bias_walk.powi(2), gyro.bias_prior.powi(2)),
             barometer: self.model.barometers.walk.powi(2),
@@ -464,6 +469,9 @@ impl Estimator for EkfBias {
             self.propagate(dt_s, &input.0, &input.1, unseen_mps);
         }
         if let Some(inertial) = current {
+            if let Some(before) = &previous {
+                self.shaken.take(before, &inertial);
+            }
             self.inertial = Some(inertial);
             self.rest.take(dt_s, &inertial, &self.state.gyro_bias_radps, applied, &self.model.imus);
         }

@@ -19,6 +19,9 @@
 //! - Where cameras are missing: motion-capture pose, laser heights, GNSS, or a barometer from its first
 //!   reading. Where nothing tells the horizontal position it stays put as it does in `ekf_bias`.
 //!
+//! What the attitude filter is off by lasts for seconds, and no number of its angles averages it out: it is no part of P, and counts in
+//! the uncertainty told beside P.
+//!
 //! Roll, pitch and yaw are singular at pitch ±90°. Nearer than 10° to it the angles are taken from the
 //! attitude filter and the estimate is degraded.
 
@@ -41,7 +44,7 @@ use crate::model::airframe::Airframe;
 use crate::model::euler_body::{Action, EulerBody, M, X, ix, process_noise};
 use crate::model::motor::Rotors;
 use crate::sensor::measure::Kinematics;
-use crate::sensor::{SensorFrame, SensorModel};
+use crate::sensor::{MAX_IMUS, SensorFrame, SensorModel};
 use crate::types::MotorCommand;
 
 /// Longest step integrated at once, s.
@@ -107,6 +110,7 @@ pub struct TwelveStateEstimator<F> {
 #[derive(Debug, Clone, Copy, Default)]
 struct Aided {
     axes: [Freshness; 3],
+    imus_seen: [bool; MAX_IMUS],
     pose_seen: Option<FlightTime>,
     field_seen: bool,
     heights_present: bool,
@@ -209,6 +213,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         let part = |i: usize| Vector3::new(x[i], x[i + 1], x[i + 2]);
         let sigma = |i: usize| Vector3::from_fn(|a, _| p[(i + a, i + a)].max(0.0).sqrt());
         let attitude = self.attitude.estimate();
+        let lasting = self.lasting_sigma_rad(now);
         let e = &mut self.estimate;
         e.time = now;
         e.motion = Some(Motion {
@@ -223,7 +228,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));
         e.body_rates_radps = part(ix::P);
         e.gyro_bias_radps = attitude.gyro_bias_radps;
-        e.attitude_sigma_rad = Some(sigma(ix::ROLL));
+        e.attitude_sigma_rad = Some(sigma(ix::ROLL).map(|sigma| sigma.hypot(lasting)));
         let altitude_lost = self.aided.axes[2].lapsed(now, MEMORY_S);
         e.health = if altitude_lost || !sound || attitude.health != Health::Healthy {
             Health::Degraded
@@ -283,7 +288,9 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
     }
 
     fn nees(&self, truth: &Kinematics) -> Option<Nees> {
-        let (x, p) = self.filter.moments();
+        let (x, mut p) = self.filter.moments();
+        let lasting = self.lasting_sigma_rad(self.now.unwrap_or_default());
+        (ix::ROLL..=ix::YAW).for_each(|i| p[(i, i)] += lasting * lasting);
         let mut error = consistency::error(truth, &self.estimate.kinematics());
         // Its attitude errors are those of the angles, not about the world axes.
         let angles = roll_pitch_yaw(&truth.world_from_body);

@@ -78,8 +78,26 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         self.estimate.residuals.retain(|r| !RATES.contains(&r.channel) || r.gate.is_finite());
     }
 
+    /// Does motion capture tell the attitude?
+    fn posed(&self, now: FlightTime) -> bool {
+        self.aided.pose_seen.is_some_and(|t| now.seconds_since(t) <= POSE_MEMORY_S)
+    }
+
+    /// One-sigma of what the attitude filter is off by for long, rad: zero where motion capture tells the attitude.
+    pub(super) fn lasting_sigma_rad(&self, now: FlightTime) -> f64 {
+        if self.posed(now) {
+            return 0.0;
+        }
+        let imus = self.aided.imus_seen.iter().filter(|seen| **seen).count().max(1) as f64;
+        let model = &self.model.imus;
+        ANGLE_SIGMA_RAD.hypot(model.accel.bias_prior / (model.gravity_mps2 * imus.sqrt()))
+    }
+
     /// Gyroscopes and attitude.
     pub(super) fn take_attitude(&mut self, frame: &SensorFrame, fresh: bool) {
+        for (seen, sample) in self.aided.imus_seen.iter_mut().zip(&frame.imus) {
+            *seen |= sample.is_some();
+        }
         self.aided.field_seen |= frame.imus.iter().flatten().any(|s| s.mag_ut.is_some());
         if let Some(pose) = frame.mocap_pose.filter(|s| s.world_from_body.coords.iter().all(|x| x.is_finite())) {
             self.aided.pose_seen = Some(frame.time);
@@ -96,7 +114,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         for i in 0..3 {
             self.take(IMU, RATES[i], What::State(ix::P + i), rates[i], noise);
         }
-        if self.aided.pose_seen.is_some_and(|t| frame.time.seconds_since(t) <= POSE_MEMORY_S) {
+        if self.posed(frame.time) {
             return;
         }
         let angles = roll_pitch_yaw(&attitude);
