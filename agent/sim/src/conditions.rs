@@ -165,6 +165,8 @@ pub(crate) struct Laser {
     pub(crate) beam_sigma_beyond_2m_m: f64,
     pub(crate) bad_beam_fraction: f64,
     pub(crate) bad_beam_gain: f64,
+    pub(crate) spurious_fraction: f64,
+    pub(crate) spurious_again_fraction: f64,
     pub(crate) bias_sigma_m: f64,
     pub(crate) scale_error_sigma: f64,
     pub(crate) warm_up_drift_m: f64,

@@ -20,6 +20,10 @@ use crate::types::GRAVITY_MPS2;
 const MEASURED_MAX_AGE_S: f64 = 0.5;
 /// Their slopes are taken over at least this long, s: shorter, they are noise.
 const SLOPE_BASELINE_S: f64 = 0.08;
+/// A value further from where the last ones lead, m, is taken when so many in a row are: a beam meets a string, a leg or a net for a
+/// scan or two, a camera takes one marker for another.
+const SPURIOUS_M: f64 = 0.2;
+const LASTING: u8 = 3;
 /// The climb by the accelerometers is corrected by this part of its difference from each slope …
 const COAST_SHARE: f64 = 0.3;
 /// … and is worth something this long after the last one, s.
@@ -40,20 +44,32 @@ struct Measured {
     /// Where its present slope is measured from.
     from: (FlightTime, f64),
     slope_mps: Option<f64>,
+    /// So many since were not taken.
+    spurious: u8,
 }
 
 impl Measured {
     fn first(time: FlightTime, value_m: f64) -> Self {
-        Self { time, value_m, from: (time, value_m), slope_mps: None }
+        Self { time, value_m, from: (time, value_m), slope_mps: None, spurious: 0 }
     }
 
     fn then(self, time: FlightTime, value_m: f64) -> Self {
+        let led_m = self.value_m + self.slope_mps.unwrap_or(0.0) * time.seconds_since(self.time);
+        if (value_m - led_m).abs() > SPURIOUS_M {
+            let spurious = self.spurious + 1;
+            return if spurious < LASTING { Self { spurious, ..self } } else { Self::first(time, value_m) };
+        }
+        self.led(time, value_m)
+    }
+
+    fn led(self, time: FlightTime, value_m: f64) -> Self {
         let (since, from_m) = self.from;
         let baseline_s = time.seconds_since(since);
         if baseline_s < SLOPE_BASELINE_S {
-            return Self { time, value_m, ..self };
+            return Self { time, value_m, spurious: 0, ..self };
         }
-        Self { time, value_m, from: (time, value_m), slope_mps: Some((value_m - from_m) / baseline_s) }
+        let slope_mps = Some((value_m - from_m) / baseline_s);
+        Self { time, value_m, from: (time, value_m), slope_mps, spurious: 0 }
     }
 
     /// Takes `new` where there is one, and forgets what is too old.
@@ -353,6 +369,30 @@ mod tests {
             }
             assert_eq!(watchdog.coasting_mps(), None);
         }
+    }
+
+    /// GIVEN three lasers at 10 Hz WHEN the beams of two meet something for two scans THEN the height stays, and a third scan is taken.
+    #[test]
+    fn what_a_beam_meets_for_a_scan_or_two_is_no_height() {
+        let mut watchdog = Watchdog::new(&[]);
+        let mut height_m = |scan: u64, reads_m: [f64; 3]| {
+            let mut frame = SensorFrame { time: FlightTime(scan * 100_000), ..SensorFrame::default() };
+            for (slot, height_m) in frame.heights.iter_mut().zip(reads_m) {
+                *slot = Some(HeightSample { time: frame.time, height_m });
+            }
+            watchdog.step(&frame, 0.1);
+            watchdog.height_m().unwrap()
+        };
+        // A climb of 2 m/s meanwhile is none.
+        let climbing = |scan: u64| 1.0 + 0.2 * scan as f64;
+        for scan in 0..20 {
+            let z_m = climbing(scan);
+            let meets = scan % 10 == 5 || scan % 10 == 6;
+            let found_m = height_m(scan, [z_m, if meets { 0.3 } else { z_m }, if meets { 0.4 } else { z_m }]);
+            assert!((found_m - z_m).abs() < 0.41, "{scan}: {found_m} at {z_m}");
+        }
+        let found_m = (20..24).map(|scan| height_m(scan, [climbing(scan), 0.3, 0.3])).last();
+        assert_eq!(found_m, Some(0.3));
     }
 
     #[test]

@@ -34,6 +34,8 @@ struct Real {
     bad_beams: [bool; BEAMS],
     /// What colour and material of the floor add, m.
     surface: Field,
+    /// What stands between it and the floor, of the way there; `None` for nothing. Drawn apart from everything else.
+    spurious: (Stream, Option<f64>),
 }
 
 /// How far the floor is alike (chosen), m.
@@ -44,7 +46,24 @@ const BEAMS: usize = 128;
 /// From one beam to the next: 360° / 1024.
 const BEAM_RAD: f64 = std::f64::consts::TAU / 1024.0;
 
+/// Nothing is nearer in the beam than this part of the way to the floor (chosen).
+const NEAREST: f64 = 0.05;
+
 impl Real {
+    /// Part of the way to the floor after which this scan's beam ends: at a string, a leg, a net.
+    fn obstructed(&mut self) -> f64 {
+        let c = &self.conditions;
+        let (stream, at) = &mut self.spurious;
+        let (met, place) = (stream.uniform(), stream.uniform());
+        let stays = at.is_some();
+        if met >= if stays { c.spurious_again_fraction } else { c.spurious_fraction } {
+            *at = None;
+        } else if !stays {
+            *at = Some(NEAREST + (1.0 - NEAREST) * place);
+        }
+        at.unwrap_or(1.0)
+    }
+
     /// Reading of a height of `own_m` over `place_m` with the vehicle rolled and pitched by these angles, rad, and by how much its stamp is
     /// too early, s; `None` for a beam without echo. Draws the same numbers either way.
     fn read(
@@ -54,6 +73,7 @@ impl Real {
         (roll_rad, pitch_rad): (f64, f64),
         warm_c: f64,
     ) -> (Option<f64>, f64) {
+        let clear = self.obstructed();
         let c = &self.conditions;
         let invalid = self.stream.uniform();
         let (noise, jitter) = (self.stream.normal(), self.stream.normal());
@@ -61,7 +81,7 @@ impl Real {
         // slant.
         let beam = (roll_rad / BEAM_RAD).round() as i64;
         let bad = self.bad_beams.get(beam.rem_euclid(BEAMS as i64) as usize).is_some_and(|bad| *bad);
-        let slant_m = own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
+        let slant_m = clear * own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
         let sigma_m = if slant_m < 2.0 { c.beam_sigma_m } else { c.beam_sigma_beyond_2m_m };
         let sigma_m = if bad { c.bad_beam_gain * sigma_m } else { sigma_m };
         let bias_m = self.bias_m + self.warm_up_m_per_c * warm_c + self.surface.at(place_m).x;
@@ -92,6 +112,7 @@ impl Device for Height {
                 let mut beams = Stream::new(stream.clone().uniform().to_bits(), "beams");
                 std::array::from_fn(|_| beams.uniform() < c.bad_beam_fraction)
             },
+            spurious: (Stream::new(stream.clone().uniform().to_bits(), "spurious"), None),
             // One floor for all.
             surface: Field::new(c.surface_bias_sigma_m, SURFACE_M, &mut Stream::new(around.seed, "floor")),
             stream: stream.clone(),

@@ -33,15 +33,21 @@ const TRACKS: usize = MAX_HEIGHTS + 2;
 #[derive(Debug, Clone, Copy, Default)]
 struct Track {
     seen: bool,
+    refused: bool,
     white: f64,
     mean: f64,
     lasting: f64,
 }
 
 impl Track {
-    fn take(&mut self, normalised: f64) {
+    fn take(&mut self, normalised: f64, accepted: bool) {
+        // One alone was the sensor's.
+        let before = std::mem::replace(&mut self.refused, !accepted);
+        if !accepted && !before {
+            return;
+        }
         if !self.seen {
-            *self = Self { seen: true, white: 1.0, mean: 0.0, lasting: 1.0 };
+            *self = Self { seen: true, white: 1.0, lasting: 1.0, ..*self };
         }
         self.white += GAIN * (normalised * normalised - self.white);
         self.mean += SHORT_GAIN * (normalised - self.mean);
@@ -67,7 +73,7 @@ fn index(residual: &Residual) -> Option<usize> {
 }
 
 impl Innovations {
-    /// Takes the residuals of `estimate`, those refused as well, and scales it; once, however often it is shown the same.
+    /// Takes the residuals of `estimate`, those refused as well where several in a row are, and scales it; once, however often it is shown the same.
     pub fn scale(&mut self, estimate: &mut Estimate) {
         if self.scaled == Some(estimate.time) {
             return;
@@ -77,7 +83,7 @@ impl Innovations {
             let normalised = residual.innovation / residual.sigma;
             let track = index(residual).and_then(|index| self.tracks.get_mut(index));
             if let Some(track) = track.filter(|_| normalised.is_finite()) {
-                track.take(normalised);
+                track.take(normalised, residual.accepted);
             }
         }
         let scale = self.surprise();
@@ -138,6 +144,13 @@ mod tests {
         assert!((told_m(|k, _| if k.is_multiple_of(2) { 0.03 } else { -0.03 }) - 0.03).abs() < 2e-3);
         // A mean that stays for seconds is no white noise; one laser of three far off changes little.
         assert!(told_m(|k, _| if (k / 50).is_multiple_of(2) { 0.009 } else { -0.009 }) > 0.025);
+        // All of them now and then far off, for one sample: none was used, and nothing follows.
+        let spurious = told_m(|k, laser| match k % 40 {
+            at if at == 10 * u32::from(laser) => -0.5,
+            at if at.is_multiple_of(2) => 0.008,
+            _ => -0.008,
+        });
+        assert!(spurious < 0.009, "{spurious}");
         assert!(
             told_m(|k, laser| if laser == 2 {
                 0.5

@@ -133,8 +133,12 @@ impl Lanes {
         let z_m = position_enu_m.z + 0.5 * (velocity_enu_mps.z + climb_mps) * SLOT_S;
         let heights = &mut self.judges.heights;
         let mut samples = slot.heights;
-        for (i, sample) in samples.iter_mut().enumerate() {
-            sample.iter_mut().for_each(|(_, height_m)| *height_m -= heights.off_m(i, z_m));
+        for (i, place) in samples.iter_mut().enumerate() {
+            let Some((time, height_m)) = place else { continue };
+            *height_m -= heights.off_m(i, z_m);
+            if !heights.admit(i, *height_m - (z_m - climb_mps * slot.age_s(*time)), *time) {
+                *place = None;
+            }
         }
         heights.split.take(slot.end(), (z_m, climb_mps), (up_mps2, self.fused.mixture.thrust), &samples);
         let mut beyond_m = [0.0; MAX_HEIGHTS];

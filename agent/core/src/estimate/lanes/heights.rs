@@ -7,7 +7,7 @@
 use arrayvec::ArrayVec;
 use plumbline_proto::time::FlightTime;
 
-use super::split::Split;
+use super::split::{GAP_M, Split};
 use crate::estimate::median;
 use crate::sensor::MAX_HEIGHTS;
 
@@ -46,6 +46,14 @@ const CALM: u32 = 10;
 pub(super) const REACH_M: f64 = 0.025;
 /// Those of the last moments, s.
 const RECENT_S: f64 = 0.3;
+/// Samples in a row that a laser reads further than the gap of `split.rs` from the altitude predicted before they are heard: a beam
+/// meets a string, a leg or a net for a scan or two. Fewer where another laser reads the same.
+const SPURIOUS: u32 = 3;
+const SPURIOUS_ALIKE: u32 = 2;
+/// Such samples are no evidence against a laser before there are more than so many of them of late, each of which counts this much less
+/// from sample to sample.
+const MANY: f64 = 4.0;
+const FADES: f64 = 0.97;
 /// Without a sample for so long one is not there, s.
 const SILENT_S: f64 = 1.0;
 
@@ -54,6 +62,10 @@ struct Laser {
     residuals: [f64; KEPT],
     seen: usize,
     latest: Option<(FlightTime, f64)>,
+    /// Samples in a row that were far from the altitude predicted; is the last of them not heard, and how many of late were not.
+    far: u32,
+    unheard: bool,
+    spurious: f64,
     offset_m: f64,
     scale: f64,
     weight: f64,
@@ -123,13 +135,13 @@ impl Heights {
         (off().map(|off| (off - mean).powi(2)).sum::<f64>() / ((n - 1.0) * n)).sqrt()
     }
 
-    /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps.
+    /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps, nor one whose last residual was not admitted.
     pub fn weight(&self, index: usize) -> f64 {
         if self.split.refuses(index) {
             return 0.0;
         }
         self.lasers.get(index).map_or(1.0, |laser| match laser {
-            Laser { excluded: true, .. } => 0.0,
+            Laser { excluded: true, .. } | Laser { unheard: true, .. } => 0.0,
             Laser { weight, seen, .. } if *seen >= KEPT && *weight > 0.0 => *weight,
             _ => 1.0,
         })
@@ -145,15 +157,40 @@ impl Heights {
         self.lasers.get(index).map_or(0.0, |laser| laser.ratio)
     }
 
-    /// A residual of laser `index`, what it is off by taken from it.
+    /// A residual of laser `index`, what it is off by taken from it, after [`Self::admit`] was asked.
     pub fn take(&mut self, index: usize, time: FlightTime, residual_m: f64) {
         if let Some(laser) = self.lasers.get_mut(index) {
+            laser.latest = Some((time, residual_m));
+            if laser.unheard && laser.spurious < MANY {
+                return;
+            }
             laser.residuals[laser.seen % KEPT] = residual_m;
             laser.seen += 1;
             // Counts on from where the ring is full, so that it never runs over.
             laser.seen = if laser.seen >= 4 * KEPT { 2 * KEPT } else { laser.seen };
-            laser.latest = Some((time, residual_m));
         }
+    }
+
+    /// May a residual of laser `index` correct anything and be judged beside the accelerometers? Not one far from what was predicted,
+    /// unless it lasts, or a laser that is heard reads the same.
+    pub fn admit(&mut self, index: usize, residual_m: f64, now: FlightTime) -> bool {
+        let far =
+            if residual_m.abs() > GAP_M { self.lasers.get(index).map_or(0, |l| l.far).saturating_add(1) } else { 0 };
+        let alike = |laser: &Laser| {
+            let near = |(time, value): (FlightTime, f64)| {
+                now.seconds_since(time).abs() < RECENT_S && (value - residual_m).abs() < GAP_M
+            };
+            !laser.excluded
+                && laser.latest.is_some_and(near)
+                && (!laser.unheard || far.min(laser.far) >= SPURIOUS_ALIKE)
+        };
+        let alone = !self.lasers.iter().enumerate().any(|(i, laser)| i != index && alike(laser));
+        self.lasers.get_mut(index).is_none_or(|laser| {
+            laser.far = far;
+            laser.unheard = alone && (1..SPURIOUS).contains(&far);
+            laser.spurious = FADES * laser.spurious + f64::from(u8::from(laser.unheard));
+            !laser.unheard
+        })
     }
 
     /// What laser `index` reads further than it can reach from the median of at least three, m.
@@ -161,7 +198,9 @@ impl Heights {
         let mut recent: ArrayVec<f64, MAX_HEIGHTS> = ArrayVec::new();
         for (i, laser) in self.lasers.iter().enumerate() {
             let latest = laser.latest.filter(|(time, _)| now.seconds_since(*time).abs() < RECENT_S);
-            let value = if i == index { Some(residual_m) } else { latest.map(|(_, value)| value) };
+            // In the place of one that is not heard stands what was predicted.
+            let value = latest.map(|(_, value)| if laser.unheard { 0.0 } else { value });
+            let value = if i == index { Some(residual_m) } else { value };
             recent.extend(value.filter(|_| i == index || !laser.excluded && !self.split.refuses(i)));
         }
         if recent.len() < 3 {
@@ -332,6 +371,39 @@ mod tests {
         let [within, at, beyond] = [0.02, REACH_M, 0.03].map(learned);
         assert!(within[0] > 0.0 && at[0] > 1.2 * within[0] && at[1] < 0.0, "{within:?} {at:?}");
         assert!(at.iter().zip(&beyond).all(|(a, b)| (a - b).abs() < 1e-12), "{at:?} {beyond:?}");
+    }
+
+    /// GIVEN three lasers WHEN a beam meets something for a scan or two THEN it is not heard, and costs its laser nothing; what lasts is
+    /// heard, and what a laser that is heard reads as well at once.
+    #[test]
+    fn a_beam_in_the_way_is_heard_when_it_lasts() {
+        let mut heights = Heights::default();
+        run(&mut heights, 0, 300, [0.0; 3]);
+        let mut reads = |k: u32, index: usize, residual_m: f64| {
+            let now = FlightTime(u64::from(300 + k) * 40_000);
+            let heard = heights.admit(index, residual_m, now);
+            heights.take(index, now, residual_m);
+            heard
+        };
+        assert_eq!([0, 2, 4, 6].map(|k| reads(k, 0, -0.5)), [false, false, true, true]);
+        assert!(reads(7, 1, -0.45), "another is heard that reads the same");
+        assert!(reads(8, 0, 0.0) && reads(8, 1, 0.0), "back");
+        // Two that are not heard are one for the other from their second sample on.
+        assert_eq!(
+            [reads(40, 0, 0.3), reads(41, 1, 0.35), reads(42, 0, 0.3), reads(43, 1, 0.35)],
+            [false, false, false, true]
+        );
+        let mut heights = Heights::default();
+        run(&mut heights, 0, 300, [0.0; 3]);
+        for k in 300..600 {
+            let now = FlightTime(u64::from(k) * 40_000);
+            for i in 0..3 {
+                let residual_m = if k % 20 == 6 * i as u32 { -0.6 } else { 0.001 };
+                assert_eq!(heights.admit(i, residual_m, now), residual_m > 0.0);
+                heights.take(i, now, residual_m);
+            }
+            assert!(!heights.decode(now, 1.0, false, true) && (0..3).all(|i| heights.ratio(i) < 0.8), "{k}");
+        }
     }
 
     #[test]

@@ -55,10 +55,12 @@ impl Judged {
         let mut samples = *coasted;
         for (i, (sample, measured)) in samples.iter_mut().zip(heights).enumerate() {
             let learned_m = self.heights.off_m(i, z_m);
+            sample.iter_mut().for_each(|(_, off_m)| *off_m -= learned_m);
             if let Some((time, off_m)) = measured {
+                let admitted = self.heights.admit(i, off_m - learned_m, *time);
+                *sample = sample.filter(|_| admitted);
                 self.heights.take(i, *time, off_m - learned_m);
             }
-            sample.iter_mut().for_each(|(_, off_m)| *off_m -= learned_m);
         }
         self.heights.split.take(end, (0.0, 0.0), (0.0, 0.0), &samples);
         let _ = self.heights.decode(end, z_m, false, true);
