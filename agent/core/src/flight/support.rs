@@ -27,7 +27,8 @@ const SPAN_S: f64 = 5.0;
 /// Time constants of the mean that vibration is counted from, and of what is usual of it, s.
 const MEAN_S: f64 = 0.2;
 const USUAL_S: f64 = 3.0;
-/// Further from the mean than so many times the usual, and this part of the weight, is none.
+/// Further from the mean than so many times the usual, and this part of the weight, counts as if it were there: what comes once is no
+/// vibration. Nor is that part of the weight.
 const VIBRATES: f64 = 3.0;
 const QUIET: f64 = 0.005;
 /// How far above its least value of some seconds vibration brings s, in its mean absolute values: ±3 σ of a normal one.
@@ -83,9 +84,8 @@ impl Support {
         let smooth_n = before_n + (now_n - before_n) * part(SMOOTH_S);
         self.smooth_n = Some(smooth_n);
         self.mean_n = mean_n + (smooth_n - mean_n) * part(MEAN_S);
-        let first = self.least_n[1].is_none() && self.span_s < USUAL_S;
         let most_n = VIBRATES * self.vibrates_n + QUIET * airframe.weight_n();
-        let off_n = (smooth_n - self.mean_n).abs().min(if first { f64::INFINITY } else { most_n });
+        let off_n = (smooth_n - self.mean_n).abs().min(most_n);
         self.vibrates_n += (off_n - self.vibrates_n) * part(USUAL_S);
         self.span_s += dt_s;
         if self.span_s > SPAN_S {
@@ -94,7 +94,8 @@ impl Support {
         }
         self.least_n[0] = Some(self.least_n[0].map_or(smooth_n, |least| least.min(smooth_n)));
         let limit = if self.held { RELEASED } else { HELD };
-        self.held = self.risen_n() > limit * airframe.weight_n() + RISES * self.vibrates_n;
+        let vibrates_n = (self.vibrates_n - QUIET * airframe.weight_n()).max(0.0);
+        self.held = self.risen_n() > limit * airframe.weight_n() + RISES * vibrates_n;
     }
 
     /// Force that holds the vehicle up, N; zero while nothing does.

@@ -36,6 +36,8 @@ struct Real {
     surface: Field,
     /// What stands between it and the floor, of the way there; `None` for nothing. Drawn apart from everything else.
     spurious: (Stream, Option<f64>),
+    /// The beam that pointed down last: only what turns meets something else.
+    beam: i64,
 }
 
 /// How far the floor is alike (chosen), m.
@@ -51,16 +53,15 @@ const NEAREST: f64 = 0.05;
 
 impl Real {
     /// Part of the way to the floor after which this scan's beam ends: at a string, a leg, a net.
-    fn obstructed(&mut self) -> f64 {
+    fn obstructed(&mut self, beam: i64) -> f64 {
         let c = &self.conditions;
         let (stream, at) = &mut self.spurious;
         let (met, place) = (stream.uniform(), stream.uniform());
-        let stays = at.is_some();
-        if met >= if stays { c.spurious_again_fraction } else { c.spurious_fraction } {
-            *at = None;
-        } else if !stays {
-            *at = Some(NEAREST + (1.0 - NEAREST) * place);
-        }
+        let turned = std::mem::replace(&mut self.beam, beam) != beam;
+        *at = match *at {
+            Some(place) => Some(place).filter(|_| met < c.spurious_again_fraction),
+            None => (turned && met < c.spurious_fraction).then_some(NEAREST + (1.0 - NEAREST) * place),
+        };
         at.unwrap_or(1.0)
     }
 
@@ -73,13 +74,13 @@ impl Real {
         (roll_rad, pitch_rad): (f64, f64),
         warm_c: f64,
     ) -> (Option<f64>, f64) {
-        let clear = self.obstructed();
-        let c = &self.conditions;
-        let invalid = self.stream.uniform();
-        let (noise, jitter) = (self.stream.normal(), self.stream.normal());
         // The scan finds the vertical in its own plane, which is another beam as the vehicle rolls; out of it the distance is
         // slant.
         let beam = (roll_rad / BEAM_RAD).round() as i64;
+        let clear = self.obstructed(beam);
+        let c = &self.conditions;
+        let invalid = self.stream.uniform();
+        let (noise, jitter) = (self.stream.normal(), self.stream.normal());
         let bad = self.bad_beams.get(beam.rem_euclid(BEAMS as i64) as usize).is_some_and(|bad| *bad);
         let slant_m = clear * own_m / (pitch_rad + self.mounting_rad).cos().max(0.1);
         let sigma_m = if slant_m < 2.0 { c.beam_sigma_m } else { c.beam_sigma_beyond_2m_m };
@@ -113,6 +114,7 @@ impl Device for Height {
                 std::array::from_fn(|_| beams.uniform() < c.bad_beam_fraction)
             },
             spurious: (Stream::new(stream.clone().uniform().to_bits(), "spurious"), None),
+            beam: 0,
             // One floor for all.
             surface: Field::new(c.surface_bias_sigma_m, SURFACE_M, &mut Stream::new(around.seed, "floor")),
             stream: stream.clone(),

@@ -160,8 +160,8 @@ fn under_motion_capture_heights_move_it_by_next_to_nothing() {
 #[test]
 fn where_imus_are_shaken_heights_move_it_further_and_their_bounds_say_so() {
     // Of 2000 drawn; of shapes that no bound has a say in.
-    let two = "height 1, height 3";
-    for (base, index, name) in [(122_000, 232, two), (122_000, 820, two), (184_000, 393, "height 2")] {
+    let name = "height 1, height 3";
+    for (base, index) in [(122_000, 232), (122_000, 820)] {
         let seed = base + index % 25;
         let clean = fly("datasheet", seed, &Worn::default());
         let at_rest = Shaken { rectified_mps2: 0.0, ..clean.shaken };
