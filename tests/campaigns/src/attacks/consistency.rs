@@ -32,9 +32,7 @@ fn errors(estimate: &Estimate, truth: &Truth) -> [Option<(f64, f64)>; 3] {
     let Truth { position_enu_m, velocity_enu_mps, world_from_body, .. } = *truth;
     let off = error(&Kinematics { position_enu_m, velocity_enu_mps, world_from_body }, &estimate.kinematics());
     [
-        motion.and_then(|m| {
-            of(off[2], m.position_sigma_m.map(|s| Vector3::new(s.x, s.y, s.z.hypot(m.heights_off_sigma_m))))
-        }),
+        motion.and_then(|m| of(off[2], m.position_sigma_m)),
         motion.and_then(|m| of(off[5], m.velocity_sigma_mps)),
         estimate.attitude_sigma_rad.filter(|s| s.x > 0.0).map(|s| (off[6], s.x)),
     ]
