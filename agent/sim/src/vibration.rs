@@ -52,6 +52,12 @@ impl Biquad {
         Self { b: [scale, -2.0 * scale, scale], a, state: [0.0; 2] }
     }
 
+    /// A low-pass that has seen nothing but `x` for long.
+    pub(crate) fn settle(&mut self, x: f64) {
+        self.state[1] = (self.b[2] - self.a[1]) * x;
+        self.state[0] = (self.b[1] - self.a[0]) * x + self.state[1];
+    }
+
     /// The next output.
     pub(crate) fn step(&mut self, x: f64) -> f64 {
         let y = self.b[0] * x + self.state[0];

@@ -174,8 +174,8 @@ struct Real {
     felt: Felt,
     /// The sensor's own filter of rate and force.
     filters: [[Biquad; 3]; 2],
-    /// Behind it.
-    filtered: [Vector3<f64>; 2],
+    /// Behind it; `None` before the first tick.
+    filtered: Option<[Vector3<f64>; 2]>,
     /// Scale, cross-axis and mounting.
     gain: [Matrix3<f64>; 2],
     /// Of the accelerometer's scale, 1/K.
@@ -233,7 +233,7 @@ impl Real {
         Self {
             felt: around.vibration.felt(c.gyr_lowpass_hz, c.acc_lowpass_hz, rate_hz, stream),
             filters: [c.gyr_lowpass_hz, c.acc_lowpass_hz].map(|hz| [Biquad::low_pass(hz, rate_hz); 3]),
-            filtered: [Vector3::zeros(); 2],
+            filtered: None,
             gain,
             scale_per_k: c.acc_tcs_per_k * stream.normal(),
             offset_per_k,
@@ -249,7 +249,8 @@ impl Real {
             ],
             walk_s: [c.gyr_walk_time_constant_s, c.acc_walk_time_constant_s],
             period_s: std::array::from_fn(|_| period_s * (1.0 + c.sample_clock_error_sigma * stream.normal())),
-            next_s: std::array::from_fn(|_| period_s * stream.uniform()),
+            // It was switched on long before.
+            next_s: std::array::from_fn(|_| period_s * (stream.uniform() - 1.0)),
             latest: (Vector3::zeros(), Vector3::zeros()),
             magnetic: Magnetic::new(around, stream),
             offset_s: around.conditions.clocks.imu_to_imu_offset_s * stream.normal().abs(),
@@ -285,9 +286,14 @@ impl Real {
         let cut_off = whole.map(|a| a.clamp(-self.range_mps2, self.range_mps2)) - whole;
         let force = force + self.rectification_s2pm * shaken.component_mul(&shaken);
         let inputs = [rate + gyro_noise, force + accel_noise + cut_off];
-        for ((filters, input), filtered) in self.filters.iter_mut().zip(inputs).zip(&mut self.filtered) {
-            *filtered = Vector3::from_fn(|axis, _| filters[axis].step(input[axis]));
+        if self.filtered.is_none() {
+            for (filter, rest) in self.filters.iter_mut().flatten().zip([rate, force].iter().flatten()) {
+                filter.settle(*rest);
+            }
         }
+        self.filtered = Some(std::array::from_fn(|half| {
+            Vector3::from_fn(|axis, _| self.filters[half][axis].step(inputs[half][axis]))
+        }));
     }
 
     /// Samples when its own clock says so.
@@ -311,7 +317,7 @@ impl Real {
             }
             Some(turn(halves(&felt.tones(&around.vibration, back_s).0)[half]))
         });
-        let [rate, force] = self.filtered;
+        let Some([rate, force]) = self.filtered else { return };
         if let Some(tones) = tones_of_gyro {
             self.latest.0 = read3(gyro, &(rate + tones), &mut self.stream);
         }
@@ -403,6 +409,16 @@ mod tests {
         assert!((0.18..0.23).contains(&fresh(&all)), "{}", fresh(&all));
         let bench = samples("bench", 2.0, 0.0);
         assert!(fresh(&bench) > 0.9 && bench.iter().all(|s| s.time.0 % 5_000 == 0), "{}", fresh(&bench));
+    }
+
+    /// GIVEN a vehicle at rest WHEN an IMU is read first THEN it tells what it felt long before, not what its filter begins with.
+    #[test]
+    fn an_imu_was_switched_on_before_it_is_read() {
+        for world in ["bench", "datasheet", "harsh"] {
+            let all = samples(world, 0.5, 0.0);
+            let far = all.iter().find(|s| (s.accel_mps2.norm() - 9.81).abs() > 0.7 || s.gyro_radps.norm() == 0.0);
+            assert!(far.is_none(), "{world}: {far:?}");
+        }
     }
 
     /// GIVEN rotors that carry the vehicle THEN their wash cools its sensors, by 5 K within 30 s of two thirds.

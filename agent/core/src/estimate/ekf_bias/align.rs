@@ -1,4 +1,4 @@
-//! Start-up: attitude and gyroscope bias from the first half second at rest, or the first second in motion.
+//! Start-up: attitude and gyroscope bias from the first half second at rest, or the second, or the first second in motion.
 //!
 //! The gyroscope is integrated from the first sample (start_from_body); specific force and field are turned
 //! into the frame of the start and averaged there, so that turning does not smear them. At rest the mean
@@ -50,12 +50,43 @@ pub struct Alignment {
     start_from_body: UnitQuaternion<f64>,
     samples: f64,
     force_start: Vector3<f64>,
+    fields: f64,
+    field_start: Vector3<f64>,
+    half: Half,
+}
+
+/// Sums over half a second.
+#[derive(Debug, Clone, Default)]
+struct Half {
+    from_s: f64,
+    samples: f64,
     rate: Vector3<f64>,
     rate_squared: Vector3<f64>,
     force: Vector3<f64>,
     force_squared: Vector3<f64>,
-    fields: f64,
-    field_start: Vector3<f64>,
+}
+
+impl Half {
+    fn push(&mut self, gyro_radps: &Vector3<f64>, force_mps2: &Vector3<f64>) {
+        self.samples += 1.0;
+        self.rate += gyro_radps;
+        self.rate_squared += gyro_radps.component_mul(gyro_radps);
+        self.force += force_mps2;
+        self.force_squared += force_mps2.component_mul(force_mps2);
+    }
+
+    /// Mean rate and specific force, if it was at rest.
+    fn at_rest(&self, gravity_mps2: f64) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let (rate, force) = (self.rate / self.samples, self.force / self.samples);
+        let scatter = |squared: &Vector3<f64>, mean: &Vector3<f64>| {
+            (squared / self.samples - mean.component_mul(mean)).map(|v| v.max(0.0).sqrt()).max()
+        };
+        let rests = rate.norm() < REST_RATE_RADPS
+            && scatter(&self.rate_squared, &rate) < REST_RATE_SCATTER_RADPS
+            && scatter(&self.force_squared, &force) < REST_FORCE_SCATTER_MPS2
+            && (force.norm() - gravity_mps2).abs() < REST_FORCE_ERROR_MPS2;
+        rests.then_some((rate, force))
+    }
 }
 
 impl Alignment {
@@ -66,12 +97,9 @@ impl Alignment {
             start_from_body: UnitQuaternion::identity(),
             samples: 0.0,
             force_start: Vector3::zeros(),
-            rate: Vector3::zeros(),
-            rate_squared: Vector3::zeros(),
-            force: Vector3::zeros(),
-            force_squared: Vector3::zeros(),
             fields: 0.0,
             field_start: Vector3::zeros(),
+            half: Half::default(),
         }
     }
 
@@ -91,40 +119,29 @@ impl Alignment {
         }
         self.samples += 1.0;
         self.force_start += self.start_from_body * force_mps2;
-        self.rate += gyro_radps;
-        self.rate_squared += gyro_radps.component_mul(gyro_radps);
-        self.force += force_mps2;
-        self.force_squared += force_mps2.component_mul(force_mps2);
+        self.half.push(gyro_radps, force_mps2);
         if let Some(field) = field_ut {
             self.fields += 1.0;
             self.field_start += self.start_from_body * field;
         }
-        if self.elapsed_s < REST_S - 1e-9 {
+        if self.elapsed_s - self.half.from_s < REST_S - 1e-9 {
             return None;
         }
 
-        let mean_rate = self.rate / self.samples;
-        let mean_force = self.force / self.samples;
-        let scatter = |squared: &Vector3<f64>, mean: &Vector3<f64>| {
-            (squared / self.samples - mean.component_mul(mean)).map(|v| v.max(0.0).sqrt()).max()
-        };
-        let at_rest = mean_rate.norm() < REST_RATE_RADPS
-            && scatter(&self.rate_squared, &mean_rate) < REST_RATE_SCATTER_RADPS
-            && scatter(&self.force_squared, &mean_force) < REST_FORCE_SCATTER_MPS2
-            && (mean_force.norm() - gravity_mps2).abs() < REST_FORCE_ERROR_MPS2;
-        if !at_rest && self.elapsed_s < MOVING_S - 1e-9 {
-            return None;
-        }
-        if at_rest {
+        if let Some((mean_rate, mean_force)) = self.half.at_rest(gravity_mps2) {
             // What was integrated as motion was bias.
             let field = (self.fields > 0.0).then(|| self.start_from_body.inverse() * self.field_start / self.fields);
             let world_from_body = attitude::from_gravity_and_field(&mean_force, field.as_ref(), declination_rad);
             return Some(Aligned {
                 world_from_body,
                 gyro_bias_radps: mean_rate,
-                at_rest,
+                at_rest: true,
                 field_ut: usable(field, &world_from_body),
             });
+        }
+        if self.elapsed_s < MOVING_S - 1e-9 {
+            self.half = Half { from_s: self.elapsed_s, ..Half::default() };
+            return None;
         }
         let field = (self.fields > 0.0).then(|| self.field_start / self.fields);
         let force = self.force_start / self.samples;
@@ -137,7 +154,7 @@ impl Alignment {
         Some(Aligned {
             world_from_body: world_from_start * self.start_from_body,
             gyro_bias_radps: Vector3::zeros(),
-            at_rest,
+            at_rest: false,
             field_ut: usable(field, &world_from_start),
         })
     }
@@ -169,6 +186,18 @@ mod tests {
         assert!(found.at_rest && (found.gyro_bias_radps - bias).norm() < 1e-12);
         assert!(found.world_from_body.angle_to(&q) < 0.01);
         assert!((found.field_ut.unwrap() - FIELD_ENU.norm()).abs() < 0.5);
+    }
+
+    /// GIVEN a vehicle at rest whose first sample is none, or that was touched, WHEN it aligns THEN it is at rest by its second half second.
+    #[test]
+    fn what_disturbs_the_first_moment_makes_no_start_in_motion() {
+        let mut a = Alignment::new();
+        let force = |k: u32| if k == 0 { Vector3::zeros() } else { Vector3::z() * 9.81 };
+        let bias = Vector3::new(0.01, -0.02, 0.005);
+        let found = (0..201).find_map(|k| a.push(0.005, &bias, &force(k), None, 9.81, 0.0).map(|found| (k, found)));
+        let (k, found) = found.unwrap();
+        assert!(found.at_rest && (200..=201).contains(&k), "{k} {found:?}");
+        assert!((found.gyro_bias_radps - bias).norm() < 1e-12 && found.world_from_body.angle() < 1e-9);
     }
 
     #[test]
