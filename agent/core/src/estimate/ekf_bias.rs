@@ -304,7 +304,7 @@ impl EkfBias {
         let noise = Noise {
             accel: density(accel).add_scalar(unseen_mps * unseen_mps / dt_s) + shaken,
             gyro: density(gyro) + turned,
-            accel_bias: (accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
+            accel_bias: self.shaken.widens(accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
             gyro_bias: (gyro.bias_walk.powi(2), gyro.bias_prior.powi(2)),
             barometer: self.model.barometers.walk.powi(2),
         };
@@ -377,7 +377,11 @@ impl EkfBias {
         if let Some(i) = &self.inertial {
             e.body_rates_radps = i.gyro_radps - self.state.gyro_bias_radps;
         }
-        e.attitude_sigma_rad = Some(sigma(ix::ATTITUDE));
+        let mut attitude_sigma_rad = sigma(ix::ATTITUDE);
+        // Nothing corrects what accelerometers in the plane rectify of vibration: tilt takes it for gravity.
+        let lasting_rad = self.shaken.rectified_mps2() / self.model.imus.gravity_mps2;
+        attitude_sigma_rad.iter_mut().take(2).for_each(|sigma| *sigma = sigma.hypot(lasting_rad));
+        e.attitude_sigma_rad = Some(attitude_sigma_rad);
         self.estimate.health = self.health(now);
     }
 

@@ -34,7 +34,15 @@ pub fn row(of: (SensorId, Channel), measured: &Row, noise: Accuracy, delay_s: f6
     h.fixed_rows_mut::<3>(ix::VELOCITY).copy_from(&(measured.d_velocity - delay_s * measured.d_position));
     h.fixed_rows_mut::<3>(ix::ATTITUDE).copy_from(&measured.d_attitude);
     let variance = noise.sigma * noise.sigma;
-    ScalarRow { of: Some(of), innovation: measured.innovation, h, variance, gate: noise.gate, refused: false }
+    ScalarRow {
+        of: Some(of),
+        innovation: measured.innovation,
+        h,
+        variance,
+        gate: noise.gate,
+        refused: false,
+        corrects: None,
+    }
 }
 
 impl EkfBias {

@@ -43,8 +43,8 @@ pub struct Noise {
     pub accel: Vector3<f64>,
     /// Of the angular rate about the world axes, (rad/s)²/Hz.
     pub gyro: Vector3<f64>,
-    /// Walk of the accelerometer bias, (m/s²)²/s, and the variance beyond which it stops.
-    pub accel_bias: (f64, f64),
+    /// Walk of the accelerometer bias along each axis, (m/s²)²/s, and the variance beyond which it stops.
+    pub accel_bias: [(f64, f64); 3],
     /// Walk of the gyroscope bias, (rad/s)²/s, and the variance beyond which it stops.
     pub gyro_bias: (f64, f64),
     /// Walk of the barometer offsets, m²/s.
@@ -73,7 +73,7 @@ pub fn propagate(p: &mut Covariance, force_world: &Vector3<f64>, rotation: &Matr
         p[(velocity, position)] += noise.accel[i] * dt * dt / 2.0;
         p[(velocity, velocity)] += noise.accel[i] * dt;
         p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] += noise.gyro[i] * dt;
-        for (start, (walk, most)) in [(ix::ACCEL_BIAS, noise.accel_bias), (ix::GYRO_BIAS, noise.gyro_bias)] {
+        for (start, (walk, most)) in [(ix::ACCEL_BIAS, noise.accel_bias[i]), (ix::GYRO_BIAS, noise.gyro_bias)] {
             if p[(start + i, start + i)] < most {
                 p[(start + i, start + i)] += walk * dt;
             }
@@ -149,7 +149,7 @@ mod tests {
     const NOISE: Noise = Noise {
         accel: Vector3::new(1e-4, 1e-4, 1e-4),
         gyro: Vector3::new(1e-6, 1e-6, 1e-6),
-        accel_bias: (1e-7, 1e9),
+        accel_bias: [(1e-7, 1e9); 3],
         gyro_bias: (1e-10, 1e9),
         barometer: 1e-4,
     };
@@ -173,7 +173,7 @@ mod tests {
             let mut p = p0;
             let none = Vector3::zeros();
             let quiet =
-                Noise { accel: none, gyro: none, accel_bias: (0.0, 0.0), gyro_bias: (0.0, 0.0), barometer: 0.0 };
+                Noise { accel: none, gyro: none, accel_bias: [(0.0, 0.0); 3], gyro_bias: (0.0, 0.0), barometer: 0.0 };
             propagate(&mut p, &force, &rotation, 0.01, &quiet);
             let phi = dense(&force, &rotation, 0.01);
             let expected = phi * p0 * phi.transpose();

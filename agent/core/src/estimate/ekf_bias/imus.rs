@@ -89,6 +89,10 @@ const SHAKEN_S: f64 = 1.0;
 /// the world `datasheet` (NEES).
 const SHAKEN_DENSITY: f64 = 0.01;
 
+/// Part of the squares that an accelerometer takes for an acceleration, 1/(m/s²): clipping and its own filter; and for how long, s.
+const RECTIFIES_PER_MPS2: f64 = 0.03;
+const RECTIFIES_S: f64 = 2.0;
+
 /// How much the consensus changes from sample to sample: vibration, which no data sheet tells.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Shaken {
@@ -106,6 +110,18 @@ impl Shaken {
         ] {
             *mean += (change.component_mul(&change) * 0.5 - *mean) * gain;
         }
+    }
+
+    /// What an accelerometer rectifies, one sigma, m/s².
+    pub fn rectified_mps2(&self) -> f64 {
+        RECTIFIES_PER_MPS2 * self.accel.mean()
+    }
+
+    /// Walk of each axis of an accelerometer's bias, (m/s²)²/s, and the variance beyond which it stops, of what they are at rest. Upward
+    /// alone: in the plane nothing tells a bias from tilt.
+    pub fn widens(&self, walk: f64, most: f64) -> [(f64, f64); 3] {
+        let rectified = self.rectified_mps2().powi(2);
+        [(walk, most), (walk, most), (walk + rectified / RECTIFIES_S, most + rectified)]
     }
 
     /// Squares of the noise densities of accelerometers and gyroscopes, body FLU, (m/s²)²/Hz and (rad/s)²/Hz.

@@ -96,6 +96,30 @@ fn transition_matches_finite_differences() {
     }
 }
 
+/// GIVEN a vehicle that tilts as it flies WHEN its accelerometers read an acceleration upward for seconds that is none THEN heights put the
+/// climb right, and it is not taken for tilt.
+#[test]
+fn what_vibration_looks_like_upward_is_not_taken_for_tilt() {
+    let mut world = World::new(LIVELY, 11);
+    let mut filter = EkfBias::new(SensorModel::default());
+    let mut worst_rad: f64 = 0.0;
+    for k in 0..(20.0 * RATE_HZ) as usize {
+        let t = k as f64 / RATE_HZ;
+        let (mut frame, truth) = world.frame(true);
+        world.heights(&mut frame, &truth, 0.0);
+        if (8.0..14.0).contains(&t) {
+            for imu in frame.imus.iter_mut().flatten() {
+                imu.accel_mps2.z += if (t * 1.5) as u64 % 2 == 0 { 5.0 } else { -5.0 };
+            }
+        }
+        let estimate = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
+        if t > 5.0 {
+            worst_rad = worst_rad.max(tilt_error(estimate, &truth));
+        }
+    }
+    assert!(worst_rad < 0.2, "{worst_rad} rad");
+}
+
 #[test]
 fn one_attacked_height_of_three_never_wins() {
     for ramp_mps in [0.0, 0.02, 0.2] {

@@ -19,6 +19,10 @@ use crate::sensor::{barometer, height};
 /// Heights older than this do not take part in deciding where the floor is, s.
 const HEIGHT_FRESH_S: f64 = 0.3;
 
+/// What heights correct. Vibration that shows as an acceleration upward would be taken for tilt, which makes little of it: lost within
+/// seconds, and certain of itself.
+const VERTICAL: [usize; 5] = [ix::POSITION + 2, ix::VELOCITY + 2, ix::ACCEL_BIAS + 2, ix::BAROMETER, ix::BAROMETER + 1];
+
 /// Laser heights.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Heights {
@@ -89,6 +93,7 @@ impl EkfBias {
             let mut row = row(of, &measured, noise, delay_s);
             row.innovation -= self.beyond_reach(i, frame.time);
             row.refused = self.contradicted(i, frame.time);
+            row.corrects = Some(&VERTICAL);
             // Not one that most of the others agree with: then it is the estimate that is off, and a hard gate would
             // lock all of them out.
             used |= if self.agreed(i, frame.time) { self.correct_past_gate(&row) } else { self.correct(&row) };
@@ -193,6 +198,7 @@ impl EkfBias {
             let of = (SensorId::new(SensorKind::Barometer, i as u8 + 1), Channel::PressureAltitude);
             let mut row = row(of, &measured, noise, delay_s);
             row.h[state] = 1.0;
+            row.corrects = Some(&VERTICAL);
             let used = self.correct(&row);
             self.aided.barometers.freshness[i].note(frame.time, used);
             if used {

@@ -78,6 +78,7 @@ impl Measurement {
             variance: self.noise.sigma * self.noise.sigma,
             gate: self.noise.gate,
             refused: false,
+            corrects: None,
         }
     }
 }

@@ -21,6 +21,8 @@ pub struct ScalarRow<const N: usize> {
     pub gate: f64,
     /// Rejected for a reason of its own, whatever the gate says.
     pub refused: bool,
+    /// The states it corrects, where not all of them; the others are left alone, and P is what it is then (Schmidt 1966).
+    pub corrects: Option<&'static [usize]>,
 }
 
 impl<const N: usize> ScalarRow<N> {
@@ -28,7 +30,7 @@ impl<const N: usize> ScalarRow<N> {
     pub fn pseudo(i: usize, innovation: f64, variance: f64) -> Self {
         let mut h = SVector::zeros();
         h[i] = 1.0;
-        Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false }
+        Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false, corrects: None }
     }
 
     /// Corrects `p` and returns the correction δx = k (y − ŷ) of the state; `None` where the row is rejected or not
@@ -82,8 +84,36 @@ impl<const N: usize> ScalarRow<N> {
     }
 
     fn update(&self, p: &mut SMatrix<f64, N, N>, ph: &SVector<f64, N>, s: f64, widened: f64) -> SVector<f64, N> {
-        let k = ph / (s + widened);
+        let mut k = ph / (s + widened);
+        if let Some(corrects) = self.corrects {
+            (0..N).filter(|i| !corrects.contains(i)).for_each(|i| k[i] = 0.0);
+        }
         kalman::correct_scalar(p, &self.h, self.variance + widened, &k);
         k * self.innovation
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// GIVEN a row that corrects the first of two states that err together WHEN it corrects THEN the other stays, P is that of the gain
+    /// taken, and no smaller than with the best one.
+    #[test]
+    fn a_state_that_a_row_leaves_alone_keeps_its_variance() {
+        let before = SMatrix::<f64, 2, 2>::new(4.0, 1.5, 1.5, 1.0);
+        let h = SVector::<f64, 2>::new(1.0, 0.0);
+        let all = ScalarRow { of: None, innovation: 2.0, h, variance: 0.5, gate: 3.0, refused: false, corrects: None };
+        let corrected = |row: ScalarRow<2>| {
+            let mut p = before;
+            let dx = row.correct(&mut p, &mut Residuals::new()).unwrap();
+            (dx, p)
+        };
+        let (best, smallest) = corrected(all);
+        let (dx, p) = corrected(ScalarRow { corrects: Some(&[0]), ..all });
+        assert_eq!(dx, SVector::<f64, 2>::new(best[0], 0.0));
+        assert!(best[1] > 0.5 && (p[(0, 0)] - smallest[(0, 0)]).abs() < 1e-12);
+        assert_eq!(p[(1, 1)], before[(1, 1)]);
+        assert!((p - smallest).symmetric_eigenvalues().min() > -1e-12 && p.symmetric_eigenvalues().min() > 0.0);
     }
 }

@@ -132,7 +132,7 @@ impl Lane {
         let noise = Noise {
             accel: of(0, ACCEL_GAIN),
             gyro: of(3, GYRO_GAIN),
-            accel_bias: bias(accel.bias_walk.max(WALKS.0), accel.bias_prior.max(PRIORS.0)),
+            accel_bias: [bias(accel.bias_walk.max(WALKS.0), accel.bias_prior.max(PRIORS.0)); 3],
             gyro_bias: bias(gyro.bias_walk.max(WALKS.1), gyro.bias_prior.max(PRIORS.1)),
             barometer: model.barometers.walk.powi(2),
         };
