@@ -46,6 +46,8 @@ const CALM: u32 = 10;
 pub(super) const REACH_M: f64 = 0.025;
 /// Those of the last moments, s.
 const RECENT_S: f64 = 0.3;
+/// What lasers are off by before more is known of them, m.
+const USUAL_M: f64 = 0.0035;
 /// Samples in a row that a laser reads further than the gap of `split.rs` from the altitude predicted before they are heard: a beam
 /// meets a string, a leg or a net for a scan or two. Fewer where another laser reads the same.
 const SPURIOUS: u32 = 3;
@@ -123,7 +125,7 @@ impl Heights {
     }
 
     /// One-sigma of what the mean of the lasers is off by at altitude `z_m`, m, were they off independently: from how far they
-    /// are apart.
+    /// are apart, and as if two more were [`USUAL_M`] apart: three that agree by chance say little.
     pub fn mean_off_sigma_m(&self, z_m: f64) -> f64 {
         let used = || self.lasers.iter().enumerate().filter(|(_, laser)| laser.seen >= KEPT && !laser.excluded);
         let off = || used().map(|(i, _)| self.off_m(i, z_m));
@@ -132,7 +134,8 @@ impl Heights {
             return 0.0;
         }
         let mean = off().sum::<f64>() / n;
-        (off().map(|off| (off - mean).powi(2)).sum::<f64>() / ((n - 1.0) * n)).sqrt()
+        let apart = off().map(|off| (off - mean).powi(2)).sum::<f64>();
+        ((apart + 2.0 * USUAL_M * USUAL_M) / ((n - 1.0) * n)).sqrt()
     }
 
     /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps, nor one whose last residual was not admitted.

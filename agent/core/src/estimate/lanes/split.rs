@@ -2,8 +2,9 @@
 //!
 //! Two of three lasers that step together outvote the third. Only what the IMUs felt since says which of them moved with
 //! the vehicle: from the moment they part the altitude coasts on accelerations alone, and lasers far from the one nearest to
-//! it are off. Fewer than the others and the accelerometers together, they are held back until they return; otherwise
-//! nobody has a majority, the heights contradict each other, and none is used until they agree again. Where all of them have
+//! it are off, or from most of them where these are three or more and as near as it can tell. Unless those of them that read the same are
+//! more than the others and the accelerometers together, they are held back until they return; otherwise nobody has a majority, the
+//! heights contradict each other, and none is used until they agree again. Where all of them have
 //! left the coasted altitude the floor is another, or the accelerometers know too little: nothing is said.
 //!
 //! Slow drifts of a majority stay unseen: an accelerometer's bias explains them.
@@ -20,6 +21,8 @@ const SAMPLES: u32 = 2;
 const LONGEST_S: f64 = 0.5;
 /// The coasted altitude is right to so much at first, m, and for each second, m/s.
 const COAST: (f64, f64) = (0.1, 0.2);
+/// Fewer lasers than so many are not taken for most of them against the accelerometers.
+const MOST: usize = 3;
 /// One that is held back returns within this part of the gap.
 const BACK: f64 = 0.8;
 /// A laser is there so long after its last sample, s.
@@ -131,11 +134,20 @@ impl Split {
         if waits && coasted_s < LONGEST_S {
             return;
         }
-        let nearest = self.off_m(now).map(|(_, off_m)| off_m).min_by(|a, b| a.abs().total_cmp(&b.abs()));
-        let anchor_m = nearest.unwrap_or_default();
-        let is_off = |off_m: f64| (off_m - anchor_m).abs() > GAP_M;
         let there = self.off_m(now).count();
-        let off = self.off_m(now).filter(|(_, off_m)| is_off(*off_m)).count();
+        let reach_m = COAST.0 + COAST.1 * coasted_s;
+        let near = |anchor_m: f64| self.off_m(now).filter(|(_, off_m)| (off_m - anchor_m).abs() <= GAP_M).count();
+        // Within what the coasted altitude is right to, most of the lasers are more than the one that is nearest to it by chance; two that
+        // collude against a third are not meant.
+        let by_most = |off_m: &f64| off_m.abs() <= reach_m && near(*off_m) >= MOST && 2 * near(*off_m) > there;
+        let all = || self.off_m(now).map(|(_, off_m)| off_m);
+        let nearest = |of: &mut dyn Iterator<Item = f64>| of.min_by(|a, b| a.abs().total_cmp(&b.abs()));
+        let anchor_m = nearest(&mut all().filter(by_most)).or(nearest(&mut all())).unwrap_or_default();
+        let is_off = |off_m: f64| (off_m - anchor_m).abs() > GAP_M;
+        let off = there - near(anchor_m);
+        // Those that read each something else are no other truth together.
+        let alike = |one: f64| all().filter(|off_m| is_off(*off_m) && (off_m - one).abs() <= GAP_M).count();
+        let rivals = all().filter(|off_m| is_off(*off_m)).map(alike).max().unwrap_or_default();
         if let Some(last) = self.contradicted {
             if off > 0 {
                 self.contradicted = Some(now);
@@ -144,10 +156,10 @@ impl Split {
             }
             return;
         }
-        if anchor_m.abs() > COAST.0 + COAST.1 * coasted_s {
+        if anchor_m.abs() > reach_m {
             *self = Self { by_thrust: self.by_thrust, ..Self::default() };
-        } else if 2 * off > there {
-            // One voice more for those that the accelerometers agree with: off ≥ near + 1 leaves no majority.
+        } else if rivals > there - off {
+            // One voice more for those that the accelerometers agree with: as many rivals as near + 1 leave no majority.
             self.contradicted = Some(now);
         } else {
             self.coast = None;
@@ -219,6 +231,49 @@ mod tests {
         run_by(0.9, &mut split, 50, 30, [0.3, 0.0, 0.3]);
         assert!(!split.is_contradicted());
         assert_eq!(refused(&split), [false; 3]);
+    }
+
+    /// GIVEN five lasers, one far off and one by a little more than the gap, WHEN the coasted altitude lies nearer to the latter than to
+    /// the three others THEN these are used.
+    #[test]
+    fn most_of_five_are_more_than_the_one_nearest_to_a_coasted_altitude() {
+        let mut split = Split::default();
+        for k in 0u32..40 {
+            let end = FlightTime(u64::from(k + 1) * 40_000);
+            let mut samples = [None; MAX_HEIGHTS];
+            let off_m = if k < 20 { [0.0; 5] } else { [0.139, 0.0, 0.0, 0.7, 0.0] };
+            for (i, off_m) in off_m.into_iter().enumerate() {
+                if (k as usize + i).is_multiple_of(3) {
+                    samples[i] = Some((end, 1.0 + off_m));
+                }
+            }
+            split.take(end, (1.08, 0.0), (0.0, 0.0), &samples);
+            assert!(!split.is_contradicted(), "slot {k}");
+        }
+        assert_eq!([1, 2, 3, 4].map(|i| split.refuses(i)), [false, false, true, false]);
+    }
+
+    /// GIVEN five lasers, two of them held back, WHEN a third is off as well, each by something else, THEN the other two and the
+    /// accelerometers are used; of three that read the same they are no majority.
+    #[test]
+    fn lasers_that_read_each_something_else_are_no_other_truth() {
+        for (third_m, contradicted) in [(-0.955, false), (0.7, true)] {
+            let mut split = Split::default();
+            for k in 0u32..60 {
+                let end = FlightTime(u64::from(k + 1) * 40_000);
+                let mut samples = [None; MAX_HEIGHTS];
+                let second_m = if contradicted { 0.7 } else { 0.145 };
+                let off_m =
+                    if k < 20 { [0.0; 5] } else { [second_m, 0.0, 0.0, 0.7, if k < 40 { 0.0 } else { third_m }] };
+                for (i, off_m) in off_m.into_iter().enumerate() {
+                    if (k as usize + i).is_multiple_of(3) {
+                        samples[i] = Some((end, 1.0 + off_m));
+                    }
+                }
+                split.take(end, (1.0, 0.0), (0.0, 0.0), &samples);
+            }
+            assert_eq!(split.is_contradicted(), contradicted, "{third_m}");
+        }
     }
 
     #[test]
