@@ -51,10 +51,13 @@ fn every_controller_brings_the_roll_back() {
         let from = after[0].1;
         let first = |part: f64| after.iter().find(|(_, a)| a / from <= part).map(|(t, _)| *t);
         let rise = first(0.1).unwrap() - first(0.9).unwrap();
-        let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
+        // From where it comes to rest: what biases of accelerometers make of level, within 2° below, is no overshoot.
+        let late = || after.iter().filter(|(t, _)| *t > 2.0).map(|(_, a)| *a);
+        let rests = late().sum::<f64>() / late().count() as f64;
+        let beyond = after.iter().map(|(_, a)| (rests - a) * from.signum()).fold(0.0, f64::max);
         println!("{kind:?}: from {from:.1}°, rise {rise:.3} s, beyond {beyond:.2}°");
         assert!(rise <= ROLL_RISE_S && beyond <= ROLL_BEYOND_DEG, "{kind:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
-        assert!(after.iter().filter(|(t, _)| *t > 2.0).all(|(_, a)| a.abs() < 2.0), "{kind:?} does not settle");
+        assert!(late().all(|a| a.abs() < 2.0), "{kind:?} does not settle");
     }
 }
 
