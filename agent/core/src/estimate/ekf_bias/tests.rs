@@ -109,7 +109,7 @@ fn what_vibration_looks_like_upward_is_not_taken_for_tilt() {
         world.heights(&mut frame, &truth, 0.0);
         if (8.0..14.0).contains(&t) {
             for imu in frame.imus.iter_mut().flatten() {
-                imu.accel_mps2.z += if (t * 1.5) as u64 % 2 == 0 { 5.0 } else { -5.0 };
+                imu.accel_mps2.z += if ((t * 1.5) as u64).is_multiple_of(2) { 5.0 } else { -5.0 };
             }
         }
         let estimate = filter.step(&frame, &MotorCommand { throttle: [0.5; 4] });
