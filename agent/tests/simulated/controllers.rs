@@ -15,6 +15,8 @@ use plumbline_support::flown::{Flown, Row, scenario};
 /// [Paternain] VIII-A: roll let go at 20° is back in 0.4 s, at most 4° beyond.
 const ROLL_RISE_S: f64 = 0.4;
 const ROLL_BEYOND_DEG: f64 = 4.0;
+/// Missed: PID goes 4.2° beyond level, one of them what the accelerometers' biases make of level.
+const ROLL_MISSED: (ControllerKind, f64) = (ControllerKind::Pid, 4.25);
 /// [Paternain] VIII-B: yaw let go at 0.5 rad on one string is back in 1.6 s, at most 13 % beyond.
 const YAW_RISE_S: f64 = 1.6;
 const YAW_BEYOND_PERCENT: f64 = 13.0;
@@ -51,13 +53,12 @@ fn every_controller_brings_the_roll_back() {
         let from = after[0].1;
         let first = |part: f64| after.iter().find(|(_, a)| a / from <= part).map(|(t, _)| *t);
         let rise = first(0.1).unwrap() - first(0.9).unwrap();
-        // From where it comes to rest: what biases of accelerometers make of level, within 2° below, is no overshoot.
-        let late = || after.iter().filter(|(t, _)| *t > 2.0).map(|(_, a)| *a);
-        let rests = late().sum::<f64>() / late().count() as f64;
-        let beyond = after.iter().map(|(_, a)| (rests - a) * from.signum()).fold(0.0, f64::max);
+        let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
         println!("{kind:?}: from {from:.1}°, rise {rise:.3} s, beyond {beyond:.2}°");
-        assert!(rise <= ROLL_RISE_S && beyond <= ROLL_BEYOND_DEG, "{kind:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
-        assert!(late().all(|a| a.abs() < 2.0), "{kind:?} does not settle");
+        let most = if kind == ROLL_MISSED.0 { ROLL_MISSED.1 } else { ROLL_BEYOND_DEG };
+        assert!(rise <= ROLL_RISE_S && beyond <= most, "{kind:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
+        assert_eq!(beyond > ROLL_BEYOND_DEG, kind == ROLL_MISSED.0, "{kind:?}: {beyond:.2}°, missed no more");
+        assert!(after.iter().filter(|(t, _)| *t > 2.0).all(|(_, a)| a.abs() < 2.0), "{kind:?} does not settle");
     }
 }
 
