@@ -33,16 +33,8 @@ pub fn row(of: (SensorId, Channel), measured: &Row, noise: Accuracy, delay_s: f6
     // A sample of age τ saw p(t − τ) ≈ p − τ v.
     h.fixed_rows_mut::<3>(ix::VELOCITY).copy_from(&(measured.d_velocity - delay_s * measured.d_position));
     h.fixed_rows_mut::<3>(ix::ATTITUDE).copy_from(&measured.d_attitude);
-    let variance = noise.sigma * noise.sigma;
-    ScalarRow {
-        of: Some(of),
-        innovation: measured.innovation,
-        h,
-        variance,
-        gate: noise.gate,
-        refused: false,
-        corrects: None,
-    }
+    let bare = ScalarRow::new(measured.innovation, h, noise.sigma * noise.sigma);
+    ScalarRow { of: Some(of), gate: noise.gate, ..bare }
 }
 
 impl EkfBias {

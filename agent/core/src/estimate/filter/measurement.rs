@@ -71,15 +71,9 @@ impl Measurement {
     /// Linearised at `predicted`: y − ŷ − H δx, what the rows before have explained since (up to `x`) taken off.
     pub fn row(&self, predicted: &X, x: &X) -> ScalarRow<N> {
         let h = self.jacobian(predicted);
-        ScalarRow {
-            of: self.of,
-            innovation: self.difference(self.value, self.predict(predicted)) - h.dot(&(x - predicted)),
-            h,
-            variance: self.noise.sigma * self.noise.sigma,
-            gate: self.noise.gate,
-            refused: false,
-            corrects: None,
-        }
+        let innovation = self.difference(self.value, self.predict(predicted)) - h.dot(&(x - predicted));
+        let bare = ScalarRow::new(innovation, h, self.noise.sigma * self.noise.sigma);
+        ScalarRow { of: self.of, gate: self.noise.gate, ..bare }
     }
 }
 

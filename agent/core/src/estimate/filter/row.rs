@@ -26,11 +26,16 @@ pub struct ScalarRow<const N: usize> {
 }
 
 impl<const N: usize> ScalarRow<N> {
+    /// No sensor's, without a gate; it corrects all states.
+    pub fn new(innovation: f64, h: SVector<f64, N>, variance: f64) -> Self {
+        Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false, corrects: None }
+    }
+
     /// A pseudo-measurement of state `i`: what is known without a sensor. It has no gate.
     pub fn pseudo(i: usize, innovation: f64, variance: f64) -> Self {
         let mut h = SVector::zeros();
         h[i] = 1.0;
-        Self { of: None, innovation, h, variance, gate: f64::INFINITY, refused: false, corrects: None }
+        Self::new(innovation, h, variance)
     }
 
     /// Corrects `p` and returns the correction δx = k (y − ŷ) of the state; `None` where the row is rejected or not
@@ -103,7 +108,7 @@ mod tests {
     fn a_state_that_a_row_leaves_alone_keeps_its_variance() {
         let before = SMatrix::<f64, 2, 2>::new(4.0, 1.5, 1.5, 1.0);
         let h = SVector::<f64, 2>::new(1.0, 0.0);
-        let all = ScalarRow { of: None, innovation: 2.0, h, variance: 0.5, gate: 3.0, refused: false, corrects: None };
+        let all = ScalarRow { gate: 3.0, ..ScalarRow::new(2.0, h, 0.5) };
         let corrected = |row: ScalarRow<2>| {
             let mut p = before;
             let dx = row.correct(&mut p, &mut Residuals::new()).unwrap();

@@ -206,15 +206,7 @@ impl Correction<'_> {
 
     /// A row that is no sensor's own.
     fn coupling(&mut self, innovation: f64, h: ErrorState, sigma: f64) {
-        self.row(ScalarRow {
-            of: None,
-            innovation,
-            h,
-            variance: sigma * sigma,
-            gate: f64::INFINITY,
-            refused: false,
-            corrects: None,
-        });
+        self.row(ScalarRow::new(innovation, h, sigma * sigma));
     }
 
     fn take_drag(&mut self, drag: f64, sigma: &Six) {

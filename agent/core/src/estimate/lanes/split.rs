@@ -9,6 +9,7 @@
 //!
 //! Slow drifts of a majority stay unseen: an accelerometer's bias explains them.
 
+use arrayvec::ArrayVec;
 use plumbline_proto::time::FlightTime;
 
 use super::SLOT_S;
@@ -134,31 +135,31 @@ impl Split {
         if waits && coasted_s < LONGEST_S {
             return;
         }
-        let there = self.off_m(now).count();
-        let reach_m = COAST.0 + COAST.1 * coasted_s;
-        let near = |anchor_m: f64| self.off_m(now).filter(|(_, off_m)| (off_m - anchor_m).abs() <= GAP_M).count();
+        let all: ArrayVec<f64, MAX_HEIGHTS> = self.off_m(now).map(|(_, off_m)| off_m).collect();
+        let near = |one: f64| all.iter().filter(|off_m| (*off_m - one).abs() <= GAP_M).count();
+        let nearest = |of: &[f64]| of.iter().copied().min_by(|a, b| a.abs().total_cmp(&b.abs()));
         // Within what the coasted altitude is right to, most of the lasers are more than the one that is nearest to it by chance; two that
         // collude against a third are not meant.
-        let by_most = |off_m: &f64| off_m.abs() <= reach_m && near(*off_m) >= MOST && 2 * near(*off_m) > there;
-        let all = || self.off_m(now).map(|(_, off_m)| off_m);
-        let nearest = |of: &mut dyn Iterator<Item = f64>| of.min_by(|a, b| a.abs().total_cmp(&b.abs()));
-        let anchor_m = nearest(&mut all().filter(by_most)).or(nearest(&mut all())).unwrap_or_default();
+        let reach_m = COAST.0 + COAST.1 * coasted_s;
+        let most = |off_m: &f64| off_m.abs() <= reach_m && near(*off_m) >= MOST && 2 * near(*off_m) > all.len();
+        let by_most: ArrayVec<f64, MAX_HEIGHTS> = all.iter().copied().filter(most).collect();
+        let anchor_m = nearest(&by_most).or(nearest(&all)).unwrap_or_default();
         let is_off = |off_m: f64| (off_m - anchor_m).abs() > GAP_M;
-        let off = there - near(anchor_m);
-        // Those that read each something else are no other truth together.
-        let alike = |one: f64| all().filter(|off_m| is_off(*off_m) && (off_m - one).abs() <= GAP_M).count();
-        let rivals = all().filter(|off_m| is_off(*off_m)).map(alike).max().unwrap_or_default();
+        let off: ArrayVec<f64, MAX_HEIGHTS> = all.iter().copied().filter(|off_m| is_off(*off_m)).collect();
         if let Some(last) = self.contradicted {
-            if off > 0 {
+            if !off.is_empty() {
                 self.contradicted = Some(now);
             } else if now.seconds_since(last) > AGREED_S {
                 *self = Self { by_thrust: self.by_thrust, ..Self::default() };
             }
             return;
         }
+        // Those that read each something else are no other truth together.
+        let alike = |one: &f64| off.iter().filter(|off_m| (*off_m - one).abs() <= GAP_M).count();
+        let rivals = off.iter().map(alike).max().unwrap_or_default();
         if anchor_m.abs() > reach_m {
             *self = Self { by_thrust: self.by_thrust, ..Self::default() };
-        } else if rivals > there - off {
+        } else if rivals > all.len() - off.len() {
             // One voice more for those that the accelerometers agree with: as many rivals as near + 1 leave no majority.
             self.contradicted = Some(now);
         } else {
@@ -174,12 +175,19 @@ impl Split {
 mod tests {
     use super::*;
 
-    /// Three lasers in turns at 10 Hz on a vehicle that climbs with 0.2 m/s, off by these.
-    fn run(split: &mut Split, from: u32, slots: u32, off_m: [f64; 3]) {
-        run_by(0.0, split, from, slots, off_m);
+    /// Lasers in turns at 10 Hz on a vehicle that climbs with 0.2 m/s, off by these.
+    fn run<const N: usize>(split: &mut Split, from: u32, slots: u32, off_m: [f64; N]) {
+        run_by((0.0, 0.0), split, from, slots, off_m);
     }
 
-    fn run_by(by_thrust: f64, split: &mut Split, from: u32, slots: u32, off_m: [f64; 3]) {
+    /// So much by the thrust as commanded, and predicted too high by so much, m.
+    fn run_by<const N: usize>(
+        (by_thrust, high_m): (f64, f64),
+        split: &mut Split,
+        from: u32,
+        slots: u32,
+        off_m: [f64; N],
+    ) {
         for k in from..from + slots {
             let end = FlightTime(u64::from(k + 1) * 40_000);
             let (mut samples, z_m) = ([None; MAX_HEIGHTS], 0.2 * end.as_seconds());
@@ -188,7 +196,7 @@ mod tests {
                     samples[i] = Some((end, z_m + off_m + 0.01 * f64::from(k * 37 + i as u32 * 101).sin()));
                 }
             }
-            split.take(end, (z_m, 0.2), (0.0, by_thrust), &samples);
+            split.take(end, (z_m + high_m, 0.2), (0.0, by_thrust), &samples);
         }
     }
 
@@ -227,8 +235,8 @@ mod tests {
     #[test]
     fn accelerometers_that_the_thrust_stands_in_for_have_no_voice() {
         let mut split = Split::default();
-        run_by(0.9, &mut split, 0, 50, [0.0; 3]);
-        run_by(0.9, &mut split, 50, 30, [0.3, 0.0, 0.3]);
+        run_by((0.9, 0.0), &mut split, 0, 50, [0.0; 3]);
+        run_by((0.9, 0.0), &mut split, 50, 30, [0.3, 0.0, 0.3]);
         assert!(!split.is_contradicted());
         assert_eq!(refused(&split), [false; 3]);
     }
@@ -238,16 +246,9 @@ mod tests {
     #[test]
     fn most_of_five_are_more_than_the_one_nearest_to_a_coasted_altitude() {
         let mut split = Split::default();
-        for k in 0u32..40 {
-            let end = FlightTime(u64::from(k + 1) * 40_000);
-            let mut samples = [None; MAX_HEIGHTS];
+        for k in 0..40 {
             let off_m = if k < 20 { [0.0; 5] } else { [0.139, 0.0, 0.0, 0.7, 0.0] };
-            for (i, off_m) in off_m.into_iter().enumerate() {
-                if (k as usize + i).is_multiple_of(3) {
-                    samples[i] = Some((end, 1.0 + off_m));
-                }
-            }
-            split.take(end, (1.08, 0.0), (0.0, 0.0), &samples);
+            run_by((0.0, 0.08), &mut split, k, 1, off_m);
             assert!(!split.is_contradicted(), "slot {k}");
         }
         assert_eq!([1, 2, 3, 4].map(|i| split.refuses(i)), [false, false, true, false]);
@@ -257,21 +258,11 @@ mod tests {
     /// accelerometers are used; of three that read the same they are no majority.
     #[test]
     fn lasers_that_read_each_something_else_are_no_other_truth() {
-        for (third_m, contradicted) in [(-0.955, false), (0.7, true)] {
+        for (second_m, third_m, contradicted) in [(0.145, -0.955, false), (0.7, 0.7, true)] {
             let mut split = Split::default();
-            for k in 0u32..60 {
-                let end = FlightTime(u64::from(k + 1) * 40_000);
-                let mut samples = [None; MAX_HEIGHTS];
-                let second_m = if contradicted { 0.7 } else { 0.145 };
-                let off_m =
-                    if k < 20 { [0.0; 5] } else { [second_m, 0.0, 0.0, 0.7, if k < 40 { 0.0 } else { third_m }] };
-                for (i, off_m) in off_m.into_iter().enumerate() {
-                    if (k as usize + i).is_multiple_of(3) {
-                        samples[i] = Some((end, 1.0 + off_m));
-                    }
-                }
-                split.take(end, (1.0, 0.0), (0.0, 0.0), &samples);
-            }
+            run(&mut split, 0, 20, [0.0; 5]);
+            run(&mut split, 20, 20, [second_m, 0.0, 0.0, 0.7, 0.0]);
+            run(&mut split, 40, 20, [second_m, 0.0, 0.0, 0.7, third_m]);
             assert_eq!(split.is_contradicted(), contradicted, "{third_m}");
         }
     }
