@@ -125,6 +125,25 @@ await step(page, 'layouts: kept under a name, taken back, and the same after a r
   await page.reload();
   await until('both plots after a reload', async () => (await charted()).join() === 'imu_1.sensed.gyro_radps.y,status.tick_time_p99_us');
   await until('its spectrum', async () => /peak/.test(await signals.locator('.density > p').first().textContent()));
+  // Opened before anything has come from the vehicle: of nothing there is no spectrum to ask for.
+  const early = await context.newPage();
+  const asked = [];
+  early.on('request', (request) => request.url().includes('/spectrum?') && asked.push(request.url()));
+  let kept = [];
+  await early.routeWebSocket(/\/live/, (socket) => {
+    const ground = socket.connectToServer();
+    ground.onMessage((message) => (kept ? kept.push([socket, message]) : socket.send(message)));
+  });
+  await early.goto(page.url());
+  const density = early.locator('.density > p').first();
+  await density.waitFor({ state: 'attached' });
+  await until('messages that wait', async () => kept.length > 20);
+  assert(asked.length === 0, `asked for ${asked}`);
+  for (const [socket, message] of kept) socket.send(message);
+  kept = undefined;
+  await until('its spectrum there', async () => /peak/.test(await density.textContent()));
+  assert(asked.every((one) => number(new URL(one).searchParams.get('to_s')) > 0), `${asked}`);
+  await early.close();
   await button('Layout').click();
   await bar.getByRole('button', { name: 'Forget the layout rates' }).click();
   await until('it to be forgotten', async () => (await rows.count()) === 1);

@@ -443,8 +443,8 @@ fn draw(deck: Deck, place: u8, start_s: f64, coarse: &Samples, fine: Option<&Sam
     deck.data.try_update_value(|live| live.curves.set(Curve::Signal(place), all, 4.0 * length_s / COLUMNS as f64));
 }
 
-/// A spectrum, found again when `span` has changed and stands still; none where that is `None`. One is asked for at a time: of
-/// what moves no answer would ever come in time.
+/// A spectrum, found again when `span` has changed and stands still; none where that is `None` or ends before anything was
+/// sent. One is asked for at a time: of what moves no answer would ever come in time.
 fn spectrum_of(
     name: String,
     start_s: f64,
@@ -455,6 +455,7 @@ fn spectrum_of(
     let found = RwSignal::new(None::<Spectrum>);
     let wanted = StoredValue::new(None::<[f64; 2]>);
     let busy = StoredValue::new(false);
+    let span = move || span().filter(|[_, to_s]| *to_s > start_s);
     settled(span, move |range| {
         wanted.set_value(range);
         if range.is_none() {
