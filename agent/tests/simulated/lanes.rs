@@ -120,3 +120,38 @@ fn in_the_harshest_world_it_flies() {
     }
     assert!(kept >= 7, "{kept} of 8");
 }
+
+/// GIVEN strings that nobody keeps the vehicle from leaning on WHEN it hovers for minutes and nothing tells its place THEN what they hold
+/// it aside by is not learned as a bias, by which it would lean on them the more.
+#[test]
+fn leaning_on_strings_for_minutes_leaves_the_tilt_known() {
+    const MINUTES_S: f64 = 240.0;
+    for seed in 1..=8 {
+        let scenario = Scenario::from_toml(&format!(
+            "name = \"leaning\"\nseed = {seed}\nworld = \"datasheet\"\n[rig.hanging_strings]\nmode = \"flight\"\nheight_m = 0.3\n[suite]\npreset = \"string_rig\"\n"
+        ))
+        .unwrap();
+        let mut config = scenario.flight_config();
+        (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
+        let mut f = Flown::with_config(scenario, config);
+        f.until(4.0);
+        f.command(Command::Arm);
+        f.command(Command::SetMode(Mode::AltitudeHold));
+        f.command(Command::Setpoint(SetpointChange { altitude_m: Some(0.8), ..SetpointChange::default() }));
+        let (mut leant_rad, mut count) = (Vector3::zeros(), 0.0);
+        while f.last().t_s < MINUTES_S {
+            f.tick();
+            let row = f.last();
+            if row.t_s > MINUTES_S - 30.0 {
+                leant_rad += row.estimate.world_from_body.inverse() * Vector3::z()
+                    - row.truth.world_from_body.inverse() * Vector3::z();
+                count += 1.0;
+            }
+            f.forget();
+        }
+        assert_eq!(f.flight.failsafe(), Failsafe::None);
+        let leant_rad = (leant_rad / count).norm();
+        println!("seed {seed}: {leant_rad:.4}");
+        assert!(leant_rad < 0.025, "seed {seed}: {leant_rad} rad");
+    }
+}

@@ -176,13 +176,17 @@ impl Lanes {
         let gnss_height_m = self.gnss_height_m(slot, resting);
         let wash_sigma_m = self.aided.floor.wash_sigma_m(self.fused.at.position_enu_m.z, resting);
         let pose = self.aided.pose.within(end, POSE_MEMORY_S);
-        let up_mps2 = median(slot.imus.iter().flatten().map(|mean| mean[2]));
+        let felt = |axis: usize| median(slot.imus.iter().flatten().map(|mean| mean[axis]));
+        let felt_mps2 = Vector3::from_fn(|axis, _| felt(axis));
+        let imus = slot.imus.iter().flatten().count();
+        let bias_mps2 = self.model.imus.accel.bias_prior / (imus.max(1) as f64).sqrt();
+        let drag = self.thrust.drag(slot.thrust_mps2, &felt_mps2, bias_mps2);
         let around = Around {
             model: &self.model,
             heights: &self.judges.heights,
             beyond_m,
             field_ut: self.aided.field_ut.filter(|_| !pose),
-            drag: self.thrust.drag(slot.thrust_mps2, up_mps2),
+            drag,
             barometers: !self.aided.heights.ever(),
             wash_sigma_m,
             gnss_height_m,

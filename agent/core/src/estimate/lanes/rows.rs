@@ -12,6 +12,8 @@
 //! The field corrects yaw alone. Motors and the steel of a room bend it by a fifth and for as long as a flight lasts: as three
 //! components without correlation it tilted lanes by 10°, and what that made of gravity was taken for speed.
 //!
+//! Drag is heard only while nothing else holds the vehicle (`thrust.rs`): strings that hold it aside would be learned as a bias.
+//!
 //! No gate rejects: beyond 3 σ the noise counts as larger. A filter that rejects locks itself out under vibration.
 
 use nalgebra::Vector3;

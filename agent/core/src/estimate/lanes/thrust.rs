@@ -1,7 +1,8 @@
 //! What the motors do, as commanded: whether they stand, and whether anything but them and the air holds the vehicle.
 
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
+use super::SLOT_S;
 use crate::model::airframe::Airframe;
 use crate::model::motor::Rotors;
 use crate::sensor::SensorFrame;
@@ -11,8 +12,12 @@ use crate::types::MotorCommand;
 const STANDING: f64 = 1e-3;
 /// Less thrust than this part of the weight does not fly.
 const FLYING: f64 = 0.5;
-/// Thrust that explains the specific force along it to this part of the weight: nothing else holds the vehicle.
+/// Thrust that explains the specific force along it to this part of the weight: nothing else holds the vehicle up.
 const FREE: f64 = 0.25;
+/// Specific force in the rotors' plane beyond so many sigmas of what the biases of all IMUs make of it together, for long: strings hold
+/// the vehicle aside. Time constant of its mean, s.
+const ASIDE: f64 = 3.0;
+const ASIDE_S: f64 = 8.0;
 /// Time constant with which the part is learned by which the thrust is not as commanded, s, and the largest.
 const LEARNED_S: f64 = 5.0;
 const OFF_MAX: f64 = 0.25;
@@ -26,12 +31,15 @@ pub struct Thrust {
     gravity_mps2: f64,
     /// Part by which the thrust over the mass is less than commands and battery say: mass, propellers, air.
     off: f64,
+    /// Specific force in the rotors' plane, mean over [`ASIDE_S`] in flight, m/s².
+    aside_mps2: Vector2<f64>,
 }
 
 impl Thrust {
     /// Of motors that stand.
     pub fn new(airframe: &Airframe, gravity_mps2: f64) -> Self {
-        Self { airframe: airframe.clone(), rotors: Rotors::default(), voltage_ratio: 1.0, gravity_mps2, off: 0.0 }
+        let (airframe, rotors, aside_mps2) = (airframe.clone(), Rotors::default(), Vector2::zeros());
+        Self { airframe, rotors, voltage_ratio: 1.0, gravity_mps2, off: 0.0, aside_mps2 }
     }
 
     /// After a tick with `applied`: thrust over mass, m/s², and whether the motors are told to stand.
@@ -64,11 +72,19 @@ impl Thrust {
         thrust_mps2 > FLYING * self.gravity_mps2
     }
 
-    /// Drag over mass, 1/s, where thrust explains the specific force `up_mps2` along body z; `None` on strings or on the
-    /// ground, where something else holds the vehicle.
-    pub fn drag(&self, thrust_mps2: f64, up_mps2: f64) -> Option<f64> {
-        let free = (thrust_mps2 - up_mps2).abs() < FREE * self.gravity_mps2;
-        (free && self.flies(thrust_mps2)).then(|| self.airframe.linear_drag_nspm / self.airframe.mass_kg)
+    /// After a slot with `thrust_mps2` and the specific force `force_mps2`, body FLU, in which the biases of all IMUs together may be
+    /// `bias_mps2`: drag over mass, 1/s; `None` on strings or on the ground, where something else holds the vehicle. What strings
+    /// hold aside for long would be learned as bias, and the vehicle, level by what is left, leans on them the more.
+    pub fn drag(&mut self, thrust_mps2: f64, force_mps2: &Vector3<f64>, bias_mps2: f64) -> Option<f64> {
+        let flies = self.flies(thrust_mps2);
+        let gain = if flies { SLOT_S / ASIDE_S } else { 1.0 };
+        let aside_mps2 = if flies { force_mps2.xy() } else { Vector2::zeros() };
+        if aside_mps2.iter().all(|x| x.is_finite()) {
+            self.aside_mps2 += (aside_mps2 - self.aside_mps2) * gain;
+        }
+        let up = (thrust_mps2 - force_mps2.z).abs() < FREE * self.gravity_mps2;
+        let free = up && self.aside_mps2.norm() < ASIDE * bias_mps2;
+        (free && flies).then(|| self.airframe.linear_drag_nspm / self.airframe.mass_kg)
     }
 }
 
@@ -98,5 +114,29 @@ mod tests {
         };
         assert!((learned(1.0, 0.6) - 0.9).abs() < 0.01, "{}", learned(1.0, 0.6));
         assert_eq!([learned(0.0, 0.6), learned(1.0, 0.2)], [1.0, 1.0]);
+    }
+
+    /// GIVEN a vehicle in the air WHEN strings hold it aside for long THEN drag explains nothing, until they let go; gusts, biases of IMUs
+    /// and a stand on a slope before it change nothing.
+    #[test]
+    fn what_strings_hold_aside_for_long_is_no_drag() {
+        let g = 9.81;
+        let mut thrust = Thrust::new(&Airframe::iris(), g);
+        let mut slots = |seconds: f64, lift: f64, aside_mps2: f64| {
+            let force = Vector3::new(0.6 * aside_mps2, 0.8 * aside_mps2, g);
+            let told = (0..(seconds / SLOT_S) as usize).map(|_| thrust.drag(lift, &force, 0.1).is_some());
+            told.last().unwrap()
+        };
+        let told = [
+            slots(10.0, 0.0, 2.0),
+            slots(10.0, g, 0.25),
+            slots(1.0, g, 1.0),
+            slots(10.0, g, 0.0),
+            slots(20.0, g, 0.5),
+            slots(15.0, g, 0.0),
+            slots(1.0, g, f64::NAN),
+            slots(1.0, 0.7 * g, 0.0),
+        ];
+        assert_eq!(told, [false, true, true, true, false, true, true, false]);
     }
 }
