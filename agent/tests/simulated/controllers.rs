@@ -11,12 +11,13 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{ControllerKind, Mode};
 use plumbline_proto::ids::GainsRevision;
 use plumbline_support::flown::{Flown, Row, scenario};
+use plumbline_support::walk::PILOTS;
 
 /// [Paternain] VIII-A: roll let go at 20° is back in 0.4 s, at most 4° beyond.
 const ROLL_RISE_S: f64 = 0.4;
 const ROLL_BEYOND_DEG: f64 = 4.0;
-/// Missed: PID goes 4.2° beyond level, one of them what the accelerometers' biases make of level.
-const ROLL_MISSED: (ControllerKind, f64) = (ControllerKind::Pid, 4.25);
+/// Missed: PID goes 4.2° beyond level by the EKF and 4.4 by the lanes, one of them what the accelerometers' biases make of level.
+const ROLL_MISSED: (ControllerKind, f64) = (ControllerKind::Pid, 4.45);
 /// [Paternain] VIII-B: yaw let go at 0.5 rad on one string is back in 1.6 s, at most 13 % beyond.
 const YAW_RISE_S: f64 = 1.6;
 const YAW_BEYOND_PERCENT: f64 = 13.0;
@@ -45,8 +46,11 @@ fn roll_deg(row: &Row) -> f64 {
 
 #[test]
 fn every_controller_brings_the_roll_back() {
-    for kind in KINDS {
-        let mut f = flown("single_axis_roll", kind);
+    for (kind, pilot) in KINDS.into_iter().flat_map(|kind| PILOTS.map(|pilot| (kind, pilot))) {
+        let scenario = Scenario::from_toml(&scenario("single_axis_roll")).unwrap();
+        let design = Design::new(kind, &scenario.airframe);
+        let config = FlightConfig { design, in_loop: pilot, ..scenario.flight_config() };
+        let mut f = Flown::with_config(scenario, config);
         f.until(11.0);
         let released = f.scenario.script.pushes[0].at_s + f.scenario.script.pushes[0].duration_s;
         let after: Vec<(f64, f64)> = f.since(released).map(|r| (r.t_s - released, roll_deg(r))).collect();
@@ -54,9 +58,9 @@ fn every_controller_brings_the_roll_back() {
         let first = |part: f64| after.iter().find(|(_, a)| a / from <= part).map(|(t, _)| *t);
         let rise = first(0.1).unwrap() - first(0.9).unwrap();
         let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
-        println!("{kind:?}: from {from:.1}°, rise {rise:.3} s, beyond {beyond:.2}°");
+        println!("{kind:?}, {pilot:?}: from {from:.1}°, rise {rise:.3} s, beyond {beyond:.2}°");
         let most = if kind == ROLL_MISSED.0 { ROLL_MISSED.1 } else { ROLL_BEYOND_DEG };
-        assert!(rise <= ROLL_RISE_S && beyond <= most, "{kind:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
+        assert!(rise <= ROLL_RISE_S && beyond <= most, "{kind:?}, {pilot:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
         assert_eq!(beyond > ROLL_BEYOND_DEG, kind == ROLL_MISSED.0, "{kind:?}: {beyond:.2}°, missed no more");
         assert!(after.iter().filter(|(t, _)| *t > 2.0).all(|(_, a)| a.abs() < 2.0), "{kind:?} does not settle");
     }

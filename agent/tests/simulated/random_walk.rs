@@ -4,8 +4,9 @@
 //! more, from any seed.
 
 use plumbline_agent::flight::Failsafe;
+use plumbline_agent::types::EstimatorKind;
 use plumbline_support::walk::edge::{PAIRS, edge};
-use plumbline_support::walk::{Seen, walk};
+use plumbline_support::walk::{PILOTS, Seen, walk};
 
 /// Walks of an ordinary run.
 const WALKS: u64 = 60;
@@ -26,17 +27,22 @@ const LEFT: [u64; 12] = [
     1_003_392, 2_000_096, 2_004_524, 2_002_628, 4_000_172, 6_007_936, 8_002_080, 8_008_334, 8_002_688, 9_004_076,
     12_009_312, 13_005_580,
 ];
+/// Missed: by the lanes, whose place nothing tells and whose stick is held against its stop for eight seconds, 0.50 m.
+const MISSED: (u64, EstimatorKind) = (14, EstimatorKind::Lanes);
 /// Flights of each mode on each rig.
 const FLIGHTS_EACH: usize = 5;
 
 #[test]
 fn whatever_happens_the_invariants_hold() {
     let (mut all, mut broken) = (Seen::default(), Vec::new());
-    let seeds: Vec<u64> = (1..=WALKS).chain(BROKE).collect();
+    let drawn = (1..=WALKS).map(|seed| (seed, PILOTS[seed as usize % PILOTS.len()]));
+    let broke = BROKE.iter().flat_map(|seed| PILOTS.map(|pilot| (*seed, pilot)));
+    let seeds: Vec<_> = drawn.chain(broke).collect();
     // By two threads: by one it goes on for seconds after every other test.
     let walked: Vec<_> = std::thread::scope(|scope| {
         let halves = seeds.chunks(seeds.len().div_ceil(2));
-        let halves = halves.map(|half| scope.spawn(move || half.iter().copied().map(walk).collect::<Vec<_>>()));
+        let halves = halves
+            .map(|half| scope.spawn(move || half.iter().map(|(seed, pilot)| walk(*seed, *pilot)).collect::<Vec<_>>()));
         let halves: Vec<_> = halves.collect();
         halves.into_iter().flat_map(|half| half.join().unwrap()).collect()
     });
@@ -67,8 +73,11 @@ fn whatever_happens_the_invariants_hold() {
 fn in_every_mode_and_on_every_rig_the_box_is_kept() {
     let (mut highest_m, mut farthest_m, mut flown_s, mut broken) = (f64::MIN, f64::MIN, 0.0, Vec::new());
     let each = (0..PAIRS * FLIGHTS_EACH).map(|n| (n, n as u64 + 1));
-    for (n, seed) in each.chain(LEFT.map(|seed| (seed as usize, seed))) {
-        match edge(n, seed) {
+    let each = each.chain(LEFT.map(|seed| (seed as usize, seed)));
+    let mut missed = false;
+    for (n, seed, pilot) in each.flat_map(|(n, seed)| PILOTS.map(|pilot| (n, seed, pilot))) {
+        match edge(n, seed, pilot) {
+            Err(_) if (seed, pilot) == MISSED => missed = true,
             Ok(((above_m, aside_m), seen)) => {
                 (highest_m, farthest_m) = (highest_m.max(above_m), farthest_m.max(aside_m));
                 flown_s += seen.flown_s;
@@ -77,6 +86,7 @@ fn in_every_mode_and_on_every_rig_the_box_is_kept() {
         }
     }
     println!("{highest_m:.2} m above, {farthest_m:.2} m aside of the limits, {flown_s:.0} s in the air");
+    assert!(missed, "{MISSED:?} is missed no more");
     let heads: Vec<_> = broken.iter().filter_map(|b| b.lines().next()).collect();
     assert!(broken.is_empty(), "{} of {}:\n{heads:#?}\n{}", broken.len(), PAIRS * FLIGHTS_EACH, broken[0]);
     assert!(highest_m > 0.0 && farthest_m > 0.0, "nothing came to the edge: {highest_m} m, {farthest_m} m");

@@ -1,6 +1,6 @@
 //! Random walks of commands, faults and recoveries through the failsafe table: `PLUMBLINE_ROUNDS` of them, from
 //! `PLUMBLINE_SEED` on. Sensors, battery, motors, link, operator and flight thread are really lost in the simulator.
-//! Beside each walk a flight with everything in order tries to leave its box: every mode on every rig in turn.
+//! The EKF and the lanes fly by turns. Beside each walk a flight with everything in order tries to leave its box: every mode on every rig in turn.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use super::figures::{Figures, setting};
 use plumbline_experiment::draw::parallel;
 use plumbline_proto::v1::Failsafe;
 use plumbline_support::walk::edge::edge;
-use plumbline_support::walk::{MARGIN_M, Seen, walk};
+use plumbline_support::walk::{MARGIN_M, PILOTS, Seen, walk};
 use serde_json::json;
 
 pub fn run() -> std::process::ExitCode {
@@ -16,7 +16,8 @@ pub fn run() -> std::process::ExitCode {
     let mut figures = Figures::new("sensors", seed);
     let all = parallel(walks as usize, |n| {
         let seed = seed + n as u64;
-        (walk(seed), edge(seed as usize, seed))
+        let pilot = PILOTS[n % PILOTS.len()];
+        (walk(seed, pilot), edge(seed as usize, seed, pilot))
     });
     let mut flown = Flown { beyond_m: (f64::NEG_INFINITY, f64::NEG_INFINITY), ..Flown::default() };
     all.into_iter().for_each(|(walked, edged)| flown.add(walked, edged));

@@ -5,7 +5,7 @@ pub mod edge;
 use crate::flown::Flown;
 use plumbline_agent::attack::{Attack, Channel, Kind, Schedule};
 use plumbline_agent::command::{Command, SetpointChange};
-use plumbline_agent::flight::Failsafe;
+use plumbline_agent::flight::{Failsafe, FlightConfig};
 use plumbline_agent::frames::tilt_rad;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::devices::Outage;
@@ -25,6 +25,9 @@ pub const MARGIN_M: f64 = 0.5;
 /// Upside down on the floor for longer than this is a fault, s: the tilt failsafe's 0.3 s and its filter.
 const UPSIDE_DOWN_S: f64 = 0.8;
 
+/// Who flies: what a vehicle is flown by that has one IMU, and what one with more is.
+pub const PILOTS: [EstimatorKind; 2] = [EstimatorKind::EkfBias, EstimatorKind::Lanes];
+
 type Rng = Xoshiro256PlusPlus;
 
 const RIGS: [&str; 8] = [
@@ -38,8 +41,8 @@ const RIGS: [&str; 8] = [
     "[rig.single_axis]\naxis = \"yaw\"",
 ];
 
-/// A vehicle on some rig, with what will fail of it.
-fn drawn(seed: u64, rng: &mut Rng) -> Flown {
+/// A vehicle on some rig that `pilot` flies, with what will fail of it.
+fn drawn(seed: u64, pilot: EstimatorKind, rng: &mut Rng) -> Flown {
     let rig = RIGS[rng.random_range(0..RIGS.len())];
     let pose = if rng.random_bool(0.5) { "\nadd = [\"mocap_pose\"]" } else { "" };
     let charge = if rng.random_bool(0.2) { 0.32 } else { 0.9 };
@@ -58,7 +61,7 @@ fn drawn(seed: u64, rng: &mut Rng) -> Flown {
             scenario.outages.extend((1..=lost).map(outage).filter(|o| scenario.suite.contains(o.sensor)));
         }
     }
-    let config = scenario.flight_config().with_every_estimator();
+    let config = FlightConfig { in_loop: pilot, ..scenario.flight_config() }.with_every_estimator();
     Flown::with_config(scenario, config)
 }
 
@@ -158,13 +161,13 @@ fn happen(f: &mut Flown, rng: &mut Rng) -> bool {
     f.command(command).accepted && takes_over
 }
 
-/// Flies one walk; says what broke, and when.
+/// Flies one walk by the estimator `pilot`; says what broke, and when.
 ///
 /// # Errors
 /// The invariant that did not hold, with the seed, the time and the log.
-pub fn walk(seed: u64) -> Result<Seen, String> {
+pub fn walk(seed: u64, pilot: EstimatorKind) -> Result<Seen, String> {
     let mut rng = Rng::seed_from_u64(seed);
-    let mut f = drawn(seed, &mut rng);
+    let mut f = drawn(seed, pilot, &mut rng);
     f.until(3.0);
     if rng.random_bool(0.5) {
         // Half of them begin in the air: what goes wrong on the floor is seldom much.
@@ -184,7 +187,7 @@ pub fn walk(seed: u64) -> Result<Seen, String> {
         let row = f.last();
         let (report, truth) = (&row.report, &row.truth);
         let failsafe = f.flight.failsafe();
-        let broken = |what: String| Err(format!("seed {seed} at {:.3} s: {what}\n{}", row.t_s, f.log()));
+        let broken = |what: String| Err(format!("seed {seed}, {pilot:?}, at {:.3} s: {what}\n{}", row.t_s, f.log()));
         if !report.armed && report.command.throttle != [0.0; 4] {
             return broken(format!("motors told {:?} in mode {:?}", report.command.throttle, report.mode));
         }

@@ -60,15 +60,15 @@ fn tilt(rng: &mut Rng) -> Command {
     Command::Setpoint(SetpointChange { roll_rad, pitch_rad, ..SetpointChange::default() })
 }
 
-/// A vehicle in order, with its place measured or not; the estimators are those a small computer runs.
-fn vehicle(rig: &str, seed: u64, placed: bool) -> Flown {
+/// A vehicle in order that `pilot` flies, with its place measured or not.
+fn vehicle(rig: &str, seed: u64, pilot: EstimatorKind, placed: bool) -> Flown {
     let add = if placed { "\nadd = [\"mocap_pose\"]" } else { "" };
     let text = format!(
         "name = \"edge\"\nseed = {seed}\nduration_s = {LENGTH_S}\n{rig}\n[suite]\npreset = \"string_rig\"{add}\n"
     );
     let scenario = Scenario::from_toml(&text).unwrap();
     let mut config = scenario.flight_config();
-    config.estimators.retain(|kind| *kind != EstimatorKind::Lanes);
+    (config.estimators, config.in_loop) = (vec![pilot, EstimatorKind::Complementary], pilot);
     Flown::with_config(scenario, config)
 }
 
@@ -77,11 +77,11 @@ fn vehicle(rig: &str, seed: u64, placed: bool) -> Flown {
 ///
 /// # Errors
 /// How far it left its box, with the seed and the log.
-pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
+pub fn edge(n: usize, seed: u64, pilot: EstimatorKind) -> Result<((f64, f64), Seen), String> {
     let (mode, rig) = (MODES[n % MODES.len()], RIGS[n / MODES.len() % RIGS.len()]);
     let mut rng = Rng::seed_from_u64(seed);
     let placed = mode == Mode::Hold || rng.random_bool(0.5);
-    let mut f = vehicle(rig, seed, placed);
+    let mut f = vehicle(rig, seed, pilot, placed);
     let lifts = f.flight.config().rig.can_lift();
     f.until(3.0);
     f.command(Command::Arm);
@@ -101,7 +101,7 @@ pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
             // What took over is overruled at once.
             let entered = f.command(Command::SetMode(mode)).accepted;
             if entered && !lifts && !matches!(mode, Mode::Stabilise | Mode::Land) {
-                return Err(format!("seed {seed}: {mode:?} on a rig that cannot lift\n{}", f.log()));
+                return Err(format!("seed {seed}, {pilot:?}: {mode:?} on a rig that cannot lift\n{}", f.log()));
             }
             let command = match rng.random_range(0..8) {
                 0..=3 => held.clone(),
@@ -124,7 +124,7 @@ pub fn edge(n: usize, seed: u64) -> Result<((f64, f64), Seen), String> {
         }
         if beyond_m.0.max(beyond_m.1) > MARGIN_M {
             return Err(format!(
-                "seed {seed}, {mode:?}, {rig}: at {:.3} s {:.2} m beyond the limit of altitude, {:.2} m beyond that of place\n{}",
+                "seed {seed}, {pilot:?}, {mode:?}, {rig}: at {:.3} s {:.2} m beyond the limit of altitude, {:.2} m beyond that of place\n{}",
                 row.t_s,
                 beyond_m.0,
                 beyond_m.1,

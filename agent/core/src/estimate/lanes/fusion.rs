@@ -180,7 +180,8 @@ impl Lanes {
         let felt_mps2 = Vector3::from_fn(|axis, _| felt(axis));
         let imus = slot.imus.iter().flatten().count();
         let bias_mps2 = self.model.imus.accel.bias_prior / (imus.max(1) as f64).sqrt();
-        let drag = self.thrust.drag(slot.thrust_mps2, &felt_mps2, bias_mps2);
+        let speed_mps = self.fused.at.world_from_body.inverse() * self.fused.at.velocity_enu_mps;
+        let drag = self.thrust.drag(slot.thrust_mps2, &felt_mps2, &speed_mps, bias_mps2);
         let around = Around {
             model: &self.model,
             heights: &self.judges.heights,

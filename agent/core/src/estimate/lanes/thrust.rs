@@ -18,6 +18,8 @@ const FREE: f64 = 0.25;
 /// the vehicle aside. Time constant of its mean, s.
 const ASIDE: f64 = 3.0;
 const ASIDE_S: f64 = 8.0;
+/// By so much beyond drag a rig or a hand holds it, m/s².
+const HELD_MPS2: f64 = 1.0;
 /// Time constant with which the part is learned by which the thrust is not as commanded, s, and the largest.
 const LEARNED_S: f64 = 5.0;
 const OFF_MAX: f64 = 0.25;
@@ -72,19 +74,27 @@ impl Thrust {
         thrust_mps2 > FLYING * self.gravity_mps2
     }
 
-    /// After a slot with `thrust_mps2` and the specific force `force_mps2`, body FLU, in which the biases of all IMUs together may be
-    /// `bias_mps2`: drag over mass, 1/s; `None` on strings or on the ground, where something else holds the vehicle. What strings
-    /// hold aside for long would be learned as bias, and the vehicle, level by what is left, leans on them the more.
-    pub fn drag(&mut self, thrust_mps2: f64, force_mps2: &Vector3<f64>, bias_mps2: f64) -> Option<f64> {
+    /// After a slot with `thrust_mps2`, the specific force `force_mps2` and the speed `speed_mps`, body FLU, where the biases of all IMUs
+    /// together may be `bias_mps2`: drag over mass, 1/s; `None` on strings or on the ground, where something else holds the vehicle.
+    /// What strings hold aside for long would be learned as bias, and the vehicle, level by what is left, leans on them the more.
+    pub fn drag(
+        &mut self,
+        thrust_mps2: f64,
+        force_mps2: &Vector3<f64>,
+        speed_mps: &Vector3<f64>,
+        bias_mps2: f64,
+    ) -> Option<f64> {
+        let drag = self.airframe.linear_drag_nspm / self.airframe.mass_kg;
         let flies = self.flies(thrust_mps2);
+        // Beyond drag.
+        let aside_mps2 = if flies { force_mps2.xy() + speed_mps.xy() * drag } else { Vector2::zeros() };
         let gain = if flies { SLOT_S / ASIDE_S } else { 1.0 };
-        let aside_mps2 = if flies { force_mps2.xy() } else { Vector2::zeros() };
         if aside_mps2.iter().all(|x| x.is_finite()) {
             self.aside_mps2 += (aside_mps2 - self.aside_mps2) * gain;
         }
         let up = (thrust_mps2 - force_mps2.z).abs() < FREE * self.gravity_mps2;
-        let free = up && self.aside_mps2.norm() < ASIDE * bias_mps2;
-        (free && flies).then(|| self.airframe.linear_drag_nspm / self.airframe.mass_kg)
+        let free = up && self.aside_mps2.norm() < ASIDE * bias_mps2 && aside_mps2.norm() < HELD_MPS2;
+        (free && flies).then_some(drag)
     }
 }
 
@@ -116,7 +126,7 @@ mod tests {
         assert_eq!([learned(0.0, 0.6), learned(1.0, 0.2)], [1.0, 1.0]);
     }
 
-    /// GIVEN a vehicle in the air WHEN strings hold it aside for long THEN drag explains nothing, until they let go; gusts, biases of IMUs
+    /// GIVEN a vehicle in the air WHEN strings hold it aside for long, or a hand hard, THEN drag explains nothing, until they let go; gusts, biases
     /// and a stand on a slope before it change nothing.
     #[test]
     fn what_strings_hold_aside_for_long_is_no_drag() {
@@ -124,19 +134,22 @@ mod tests {
         let mut thrust = Thrust::new(&Airframe::iris(), g);
         let mut slots = |seconds: f64, lift: f64, aside_mps2: f64| {
             let force = Vector3::new(0.6 * aside_mps2, 0.8 * aside_mps2, g);
-            let told = (0..(seconds / SLOT_S) as usize).map(|_| thrust.drag(lift, &force, 0.1).is_some());
+            let told =
+                (0..(seconds / SLOT_S) as usize).map(|_| thrust.drag(lift, &force, &Vector3::zeros(), 0.1).is_some());
             told.last().unwrap()
         };
         let told = [
             slots(10.0, 0.0, 2.0),
             slots(10.0, g, 0.25),
-            slots(1.0, g, 1.0),
+            slots(1.0, g, 0.9),
             slots(10.0, g, 0.0),
             slots(20.0, g, 0.5),
             slots(15.0, g, 0.0),
+            slots(0.1, g, 2.0),
+            slots(0.1, g, 0.0),
             slots(1.0, g, f64::NAN),
             slots(1.0, 0.7 * g, 0.0),
         ];
-        assert_eq!(told, [false, true, true, true, false, true, true, false]);
+        assert_eq!(told, [false, true, true, true, false, true, false, true, false, false]);
     }
 }
