@@ -218,10 +218,10 @@ impl Live {
     /// Flight time of the right edge of the live charts, µs, at `local_ms`.
     ///
     /// Glides with the clock while data arrives; stands two seconds after the last message, so that an
-    /// outage shows as a gap and not as an empty chart.
+    /// outage shows as a gap and not as an empty chart. 0 before the first one, whatever the ground says of the time.
     pub fn edge_us(&self, local_ms: f64) -> f64 {
         let newest = self.clock.newest_us() as f64;
-        if self.is_replay() {
+        if newest == 0.0 || self.is_replay() {
             return newest;
         }
         self.clock.flight_now_us(local_ms).map_or(newest, |now| now.clamp(newest, newest + 2e6))
