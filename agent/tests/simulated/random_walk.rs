@@ -27,7 +27,7 @@ const LEFT: [u64; 12] = [
     1_003_392, 2_000_096, 2_004_524, 2_002_628, 4_000_172, 6_007_936, 8_002_080, 8_008_334, 8_002_688, 9_004_076,
     12_009_312, 13_005_580,
 ];
-/// Missed: by the lanes, whose place nothing tells and whose stick is held against its stop for eight seconds, 0.50 m.
+/// Missed: by the lanes, whose place nothing tells and whose stick is held against its stop for eight seconds: further than half a metre in altitude.
 const MISSED: (u64, EstimatorKind) = (14, EstimatorKind::Lanes);
 /// Flights of each mode on each rig.
 const FLIGHTS_EACH: usize = 5;
@@ -35,9 +35,8 @@ const FLIGHTS_EACH: usize = 5;
 #[test]
 fn whatever_happens_the_invariants_hold() {
     let (mut all, mut broken) = (Seen::default(), Vec::new());
-    let drawn = (1..=WALKS).map(|seed| (seed, PILOTS[seed as usize % PILOTS.len()]));
-    let broke = BROKE.iter().flat_map(|seed| PILOTS.map(|pilot| (*seed, pilot)));
-    let seeds: Vec<_> = drawn.chain(broke).collect();
+    let seeds = (1..=WALKS).chain(BROKE).flat_map(|seed| PILOTS.map(|pilot| (seed, pilot)));
+    let seeds: Vec<_> = seeds.collect();
     // By two threads: by one it goes on for seconds after every other test.
     let walked: Vec<_> = std::thread::scope(|scope| {
         let halves = seeds.chunks(seeds.len().div_ceil(2));
@@ -77,7 +76,9 @@ fn in_every_mode_and_on_every_rig_the_box_is_kept() {
     let mut missed = false;
     for (n, seed, pilot) in each.flat_map(|(n, seed)| PILOTS.map(|pilot| (n, seed, pilot))) {
         match edge(n, seed, pilot) {
-            Err(_) if (seed, pilot) == MISSED => missed = true,
+            Err(what) if (seed, pilot) == MISSED && what.contains("0.50 m beyond the limit of altitude") => {
+                missed = true
+            }
             Ok(((above_m, aside_m), seen)) => {
                 (highest_m, farthest_m) = (highest_m.max(above_m), farthest_m.max(aside_m));
                 flown_s += seen.flown_s;
