@@ -21,7 +21,7 @@ use plumbline_agent::runner::{Runner, RunnerOptions, RunnerPorts};
 use plumbline_agent::sensor::{ImuSample, MAX_IMUS, SensorFrame};
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::telemetry::{Outlet, Telemetry};
-use plumbline_agent::types::{EstimatorKind, MotorCommand};
+use plumbline_agent::types::MotorCommand;
 use plumbline_agent::vehicle::{Awaited, DeviceState, MotorStop, Vehicle, VehicleError};
 use plumbline_devices::motors::GuardLine;
 use plumbline_devices::reader::Zero;
@@ -147,7 +147,6 @@ fn fly(scenario: &Scenario, phase: f64) -> Through {
     let suite = spec::suite(&config.device).unwrap();
     let airframe = scenario.airframe.clone();
     let mut flight = FlightConfig::new(airframe.clone(), scenario.rig.kind(&airframe), &suite);
-    flight.in_loop = EstimatorKind::Lanes;
     config.apply(&mut flight).unwrap();
     let flight = Flight::new(flight).unwrap();
 
@@ -338,8 +337,7 @@ fn costs(flights: &[Through]) {
 
 /// The same flight in the simulator alone: time and altitude.
 fn simulate(scenario: &Scenario) -> Vec<(f64, f64)> {
-    let config = FlightConfig { in_loop: EstimatorKind::Lanes, ..scenario.flight_config() };
-    let mut flown = Flown::with_config(scenario.clone(), config);
+    let mut flown = Flown::with_config(scenario.clone(), scenario.flight_config());
     flown.until(scenario.duration_s);
     flown.rows.iter().map(|row| (row.t_s, row.truth.position_enu_m.z)).collect()
 }

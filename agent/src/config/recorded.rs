@@ -1,6 +1,7 @@
 //! How a recording is flown again: its airframe, sensors and rate, as far as it says.
 
 use arrayvec::ArrayVec;
+use plumbline_proto::v1::SensorKind;
 
 use crate::flight::{FlightConfig, RigKind};
 use crate::model::airframe::{Airframe, AirframeError};
@@ -49,7 +50,10 @@ impl RecordedFlight {
                 let airframe = airframe_of(info.airframe.as_deref(), airframe)?;
                 // Nothing is said of its sensors: the assumptions of `estimate`.
                 let assumed = FlightConfig::new(airframe, RigKind::Free, &Suite::empty());
-                FlightConfig { sensor_model: info.sensor_model(), ..assumed }
+                // Lanes go by the thrust as commanded.
+                let imus = info.sensors.iter().filter(|sensor| sensor.id.kind == SensorKind::Imu).count();
+                let in_loop = FlightConfig::in_loop_of(if info.has_motors { imus } else { 0 });
+                FlightConfig { sensor_model: info.sensor_model(), in_loop, ..assumed }
             }
         };
         flight.attacks.enabled = true;

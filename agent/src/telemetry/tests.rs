@@ -80,7 +80,7 @@ fn a_second_of_ticks_has_every_topic_at_its_rate() {
     assert!(sequences.windows(2).all(|pair| pair[1] == pair[0] + 1), "no gap, no repetition");
     assert_eq!(*sequences.last().unwrap(), bench.telemetry.sequence());
     assert_eq!(count(&frames, Kind::Control, 0), 200);
-    assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::EkfBias as u16), 200);
+    assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::Lanes as u16), 200);
     assert_eq!(count(&frames, Kind::Estimate, EstimatorKind::Complementary as u16), 25);
     assert_eq!(count(&frames, Kind::Truth, 0), 100);
     assert_eq!(count(&frames, Kind::Secure, 0), 25, "with every window");

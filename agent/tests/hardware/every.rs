@@ -6,9 +6,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use plumbline_agent::config::AgentConfig;
-use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::sim::Scenario;
-use plumbline_agent::types::EstimatorKind;
 use plumbline_proto::v1;
 use plumbline_support::flown;
 use plumbline_wires::{Plug, Wire, Wiring};
@@ -38,8 +36,7 @@ fn figures(truth: &[(f64, f64)]) -> [f64; 3] {
 
 /// Of the same flight in the simulator alone.
 fn without_wires(scenario: &Scenario) -> [f64; 3] {
-    let config = FlightConfig { in_loop: EstimatorKind::Lanes, ..scenario.flight_config() };
-    let mut flown = flown::Flown::with_config(scenario.clone(), config);
+    let mut flown = flown::Flown::with_config(scenario.clone(), scenario.flight_config());
     flown.until(scenario.duration_s);
     figures(&flown.rows.iter().map(|row| (row.t_s, row.truth.position_enu_m.z)).collect::<Vec<_>>())
 }

@@ -8,7 +8,7 @@ use plumbline_agent::control::tuning::{Design, KINDS};
 use plumbline_agent::flight::FlightConfig;
 use plumbline_agent::frames::wrap_pi;
 use plumbline_agent::sim::Scenario;
-use plumbline_agent::types::{ControllerKind, Mode};
+use plumbline_agent::types::{ControllerKind, EstimatorKind, Mode};
 use plumbline_proto::ids::GainsRevision;
 use plumbline_support::flown::{Flown, Row, scenario};
 use plumbline_support::walk::PILOTS;
@@ -17,15 +17,17 @@ use plumbline_support::walk::PILOTS;
 const ROLL_RISE_S: f64 = 0.4;
 const ROLL_BEYOND_DEG: f64 = 4.0;
 /// Missed: PID goes 4.2° beyond level by the EKF and 4.4 by the lanes, one of them what the accelerometers' biases make of level.
-const ROLL_MISSED: (ControllerKind, [f64; PILOTS.len()]) = (ControllerKind::Pid, [4.25, 4.45]);
+const ROLL_MISSED: [(ControllerKind, EstimatorKind, f64); 2] =
+    [(ControllerKind::Pid, EstimatorKind::EkfBias, 4.25), (ControllerKind::Pid, EstimatorKind::Lanes, 4.45)];
 /// [Paternain] VIII-B: yaw let go at 0.5 rad on one string is back in 1.6 s, at most 13 % beyond.
 const YAW_RISE_S: f64 = 1.6;
 const YAW_BEYOND_PERCENT: f64 = 13.0;
 /// Take-off to 1 m overshoots by this at most, m.
 const TAKEOFF_BEYOND_M: f64 = 0.1;
 /// On the way out of its strings a vehicle is behind its profile by this at most, m; H-infinity, of whose states only the
-/// slowest stands still beside a support, by three times as much.
+/// slowest stands still beside a support, by more.
 const RISING_BEHIND_M: f64 = 0.03;
+const RISING_BEHIND_HINF_M: f64 = 0.075;
 /// Thrust, of the weight, and torque, N m, may jump by this when a controller replaces another at hover.
 const BUMP: (f64, f64) = (0.02, 0.03);
 
@@ -59,11 +61,10 @@ fn every_controller_brings_the_roll_back() {
         let rise = first(0.1).unwrap() - first(0.9).unwrap();
         let beyond = after.iter().map(|(_, a)| -a * from.signum()).fold(0.0, f64::max);
         println!("{kind:?}, {pilot:?}: from {from:.1}°, rise {rise:.3} s, beyond {beyond:.2}°");
-        let missed_deg =
-            PILOTS.iter().zip(ROLL_MISSED.1).find_map(|(who, most)| (*who == pilot).then_some(most)).unwrap();
-        let most = if kind == ROLL_MISSED.0 { missed_deg } else { ROLL_BEYOND_DEG };
+        let missed = ROLL_MISSED.iter().find(|missed| (missed.0, missed.1) == (kind, pilot));
+        let most = missed.map_or(ROLL_BEYOND_DEG, |missed| missed.2);
         assert!(rise <= ROLL_RISE_S && beyond <= most, "{kind:?}, {pilot:?}: {rise:.3} s, {beyond:.2}°\n{}", f.log());
-        assert_eq!(beyond > ROLL_BEYOND_DEG, kind == ROLL_MISSED.0, "{kind:?}: {beyond:.2}°, missed no more");
+        assert_eq!(beyond > ROLL_BEYOND_DEG, missed.is_some(), "{kind:?}: {beyond:.2}°, missed no more");
         assert!(after.iter().filter(|(t, _)| *t > 2.0).all(|(_, a)| a.abs() < 2.0), "{kind:?} does not settle");
     }
 }
@@ -114,12 +115,14 @@ fn every_controller_takes_off_without_shooting_over() {
 
 #[test]
 fn every_controller_rises_out_of_its_strings_without_sagging() {
-    for kind in KINDS {
+    let flights = KINDS.into_iter().flat_map(|kind| PILOTS.map(|pilot| (kind, pilot)));
+    for ((kind, pilot), seed) in flights.flat_map(|of| [1, 2, 3].map(|seed| (of, seed))) {
         let mut scenario = Scenario::from_toml(&scenario("altitude_step")).unwrap();
+        scenario.seed = seed;
         scenario.script.steps.retain(|s| s.at_s < 6.0);
         let config = scenario.flight_config();
         let design = Design::new(kind, &scenario.airframe);
-        let mut f = Flown::with_config(scenario, FlightConfig { design, ..config });
+        let mut f = Flown::with_config(scenario, FlightConfig { design, in_loop: pilot, ..config });
         let setpoint = |altitude_m| {
             Command::Setpoint(SetpointChange { altitude_m: Some(altitude_m), ..SetpointChange::default() })
         };
@@ -134,12 +137,38 @@ fn every_controller_rises_out_of_its_strings_without_sagging() {
         // THEN it follows its profile from the first moment on
         let behind = |r: &Row| r.report.setpoint.position_enu_m.z - r.truth.position_enu_m.z;
         let most = f.since(14.0).map(behind).fold(0.0, f64::max);
-        println!("{kind:?}: {tension:.1} N, at most {:.1} cm behind", 100.0 * most);
-        assert!(
-            most < RISING_BEHIND_M * if kind == ControllerKind::Hinf { 3.0 } else { 1.0 },
-            "{kind:?}: {most:.3} m behind\n{}",
-            f.log()
-        );
+        println!("{kind:?}, {pilot:?}, {seed}: {tension:.1} N, at most {:.1} cm behind", 100.0 * most);
+        let allowed_m = if kind == ControllerKind::Hinf { RISING_BEHIND_HINF_M } else { RISING_BEHIND_M };
+        assert!(most < allowed_m, "{kind:?}, {pilot:?}, {seed}: {most:.3} m behind\n{}", f.log());
+    }
+}
+
+/// GIVEN a vehicle that vibrates WHEN each controller that integrates holds 1 m THEN it is there on average: nothing that it feels keeps it from integrating
+/// downward.
+#[test]
+fn every_controller_comes_down_to_its_setpoint_where_it_vibrates() {
+    const SEEDS: u64 = 6;
+    for kind in KINDS.into_iter().filter(|kind| ![ControllerKind::Lqr, ControllerKind::Lqg].contains(kind)) {
+        let mut mean_m = 0.0;
+        for seed in 1..=SEEDS {
+            let scenario = Scenario::from_toml(&format!(
+                "name = \"vibrates\"\nseed = {seed}\nworld = \"datasheet\"\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\n"
+            ))
+            .unwrap();
+            let config = scenario.flight_config();
+            let design = Design::new(kind, &scenario.airframe);
+            let mut f = Flown::with_config(scenario, FlightConfig { design, ..config });
+            f.until(4.0);
+            let change = SetpointChange { altitude_m: Some(1.0), ..SetpointChange::default() };
+            for command in [Command::Arm, Command::SetMode(Mode::AltitudeHold), Command::Setpoint(change)] {
+                assert!(f.command(command).accepted);
+            }
+            f.until(39.0);
+            let high: Vec<f64> = f.since(15.0).map(|row| row.truth.position_enu_m.z - 1.0).collect();
+            mean_m += high.iter().sum::<f64>() / high.len() as f64 / SEEDS as f64;
+        }
+        println!("{kind:?}: {:.1} mm above on average", 1e3 * mean_m);
+        assert!(mean_m.abs() < 0.006, "{kind:?}: {mean_m:.4} m");
     }
 }
 

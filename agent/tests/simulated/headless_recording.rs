@@ -71,9 +71,9 @@ fn a_scripted_flight_is_recorded_whole() {
     assert_eq!(marks[1].last_sequence, sequences.last().map(|last| u64::from(*last)));
     assert_eq!(marks[0].first_sequence, u64::from(sequences[0]));
     let ticks = counts["/control"];
-    assert_eq!(counts["/estimate/1"], ticks, "{counts:?}");
+    assert_eq!(counts["/estimate/9"], ticks, "{counts:?}");
     assert!(ticks > 1500, "{counts:?}");
-    for topic in ["/sensor/imu/1", "/sensor/imu/4", "/sensor/height/3", "/sensor/barometer/1", "/residuals/1", "/truth"]
+    for topic in ["/sensor/imu/1", "/sensor/imu/4", "/sensor/height/3", "/sensor/barometer/1", "/residuals/9", "/truth"]
     {
         assert!(counts.get(topic).is_some_and(|count| *count > 50), "{topic}: {counts:?}");
     }

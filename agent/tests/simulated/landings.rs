@@ -97,6 +97,7 @@ impl Estimator for Altered {
 fn altered(until_s: f64, change: impl FnOnce(&mut FlightConfig), alter: fn(f64, &mut Estimate)) -> Flown {
     let mut f = Flown::new(&scenario("hover"));
     let mut config = f.scenario.flight_config();
+    config.in_loop = EstimatorKind::EkfBias;
     change(&mut config);
     let altered = Altered { filter: EkfBias::new(config.sensor_model.clone()), estimate: Estimate::default(), alter };
     f.flight = Flight::with_estimators(config, vec![Box::new(altered)]).unwrap();

@@ -3,9 +3,10 @@
 use nalgebra::Vector3;
 use plumbline_agent::command::{Command, SetpointChange};
 use plumbline_agent::flight::Failsafe;
+use plumbline_agent::frames::tilt_rad;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{EstimatorKind, Mode};
-use plumbline_support::flown::Flown;
+use plumbline_support::flown::{Flown, Row};
 
 const RIGS: [&str; 2] = ["[rig.hanging_strings]\nmode = \"flight\"", "[rig.free]\nheight_m = 0.0"];
 const ALTITUDE_M: f64 = 1.0;
@@ -153,5 +154,46 @@ fn leaning_on_strings_for_minutes_leaves_the_tilt_known() {
         let leant_rad = (leant_rad / count).norm();
         println!("seed {seed}: {leant_rad:.4}");
         assert!(leant_rad < 0.025, "seed {seed}: {leant_rad} rad");
+    }
+}
+
+/// GIVEN IMUs without magnetometers, a vehicle that does not look east, and GNSS WHEN it holds its place THEN the yaw is found, and tilt and
+/// altitude are known meanwhile as well as ever: what GNSS tells is not taken for tilt and bias by a yaw that is wrong.
+#[test]
+fn without_a_field_gnss_tells_the_yaw_and_does_not_bend_the_tilt() {
+    for (world, yaw_rad, seed) in [("bench", 2.0, 1), ("bench", -1.5, 2), ("datasheet", 3.1, 3), ("datasheet", 2.0, 4)]
+    {
+        let mut scenario = Scenario::from_toml(&format!(
+            "name = \"no_field\"\nseed = {seed}\nworld = \"{world}\"\n[rig.free]\nheight_m = 0.0\n[initial]\nroll_pitch_yaw_rad = [0.0, 0.0, \
+             {yaw_rad:?}]\n[suite]\npreset = \"string_rig\"\nadd = [\"gnss\"]\n"
+        ))
+        .unwrap();
+        scenario.suite.imus.iter_mut().for_each(|imu| imu.mag = None);
+        let mut config = scenario.flight_config();
+        (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
+        // GNSS begins metres away from where the vehicle stands.
+        config.limits.lateral_max_m = 15.0;
+        let mut f = Flown::with_config(scenario, config);
+        f.until(4.0);
+        for command in [
+            Command::Arm,
+            Command::SetMode(Mode::Hold),
+            Command::Setpoint(SetpointChange { altitude_m: Some(ALTITUDE_M), ..SetpointChange::default() }),
+        ] {
+            let ack = f.command(command);
+            assert!(ack.accepted, "{world}, seed {seed}: {}", ack.reason);
+        }
+        f.until(END_S);
+        let off = |row: &Row| row.truth.world_from_body * row.estimate.world_from_body.inverse();
+        let tilt_deg = f.since(8.0).map(|row| tilt_rad(&off(row)).to_degrees()).fold(0.0, f64::max);
+        let away_m = f.since(8.0).map(|row| row.truth.position_enu_m.xy().norm()).fold(0.0, f64::max);
+        let high_m = f.since(STEADY_S).map(|row| (row.truth.position_enu_m.z - ALTITUDE_M).abs()).fold(0.0, f64::max);
+        let yaw_deg = off(f.last()).euler_angles().2.to_degrees().abs();
+        println!(
+            "{world}, seed {seed}: tilt {tilt_deg:.1}°, yaw {yaw_deg:.1}°, {away_m:.2} m away, {high_m:.3} m in altitude"
+        );
+        assert_eq!(f.flight.failsafe(), Failsafe::None, "{world}, seed {seed}\n{}", f.log());
+        assert!(tilt_deg < 4.0 && yaw_deg < 20.0, "{world}, seed {seed}: tilt {tilt_deg:.1}°, yaw {yaw_deg:.1}°");
+        assert!(away_m < 2.0 && high_m < 0.08, "{world}, seed {seed}: {away_m:.2} m away, {high_m:.3} m in altitude");
     }
 }

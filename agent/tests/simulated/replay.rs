@@ -132,7 +132,7 @@ fn an_own_flight_comes_back_as_it_was_and_can_be_flown_under_other_attacks_and_e
     let from = now.controls.keys().next().unwrap() + 8_000_000;
     let mut compared = 0;
     for (time, both) in now.estimates.range(from..) {
-        let (a, b) = (&both[&1], &then.estimates[time][&1]);
+        let (a, b) = (&both[&9], &then.estimates[time][&9]);
         let apart = (a.position_enu_m.unwrap().z - b.position_enu_m.unwrap().z).abs();
         assert!(apart < 0.02, "at {time} µs the altitudes are {apart} m apart");
         assert!(a.step_time_us > 0.0 && a.step_time_us < 1e5, "{} µs", a.step_time_us);
@@ -154,9 +154,9 @@ fn an_own_flight_comes_back_as_it_was_and_can_be_flown_under_other_attacks_and_e
 
     // GIVEN another estimator THEN it is in the loop and meets the attack of then.
     let primary = fly(&folder.path().join("primary"), &["--vehicle", "replay", file, "--estimator", "primary"]);
-    assert_eq!((now.in_loop(), primary.in_loop()), (v1::EstimatorKind::EkfBias, v1::EstimatorKind::Complementary));
+    assert_eq!((now.in_loop(), primary.in_loop()), (v1::EstimatorKind::Lanes, v1::EstimatorKind::Complementary));
     assert_eq!(primary.altered(), then.altered());
-    assert!(primary.estimates.values().all(|all| all.get(&1).is_none_or(|e| !e.in_loop)));
+    assert!(primary.estimates.values().all(|all| all.get(&9).is_none_or(|e| !e.in_loop)));
     assert_eq!(primary.estimates.values().filter(|all| all.contains_key(&2)).count(), primary.controls.len());
 }
 

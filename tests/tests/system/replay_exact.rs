@@ -20,6 +20,9 @@ const TILT_SIGMA_MAX_RAD: f64 = 0.06;
 /// Every estimator streams: faster than this the rate cap of the link thins what is compared.
 const SPEED: &str = "2";
 
+/// The estimator in the loop.
+const IN_LOOP: v1::EstimatorKind = v1::EstimatorKind::Lanes;
+
 type Estimates = BTreeMap<u64, v1::Estimate>;
 
 /// Estimates of the estimator in the loop, by flight time; how long they took to compute is not compared.
@@ -32,7 +35,7 @@ fn recorded(file: &[u8]) -> Estimates {
     let mut estimates = Estimates::new();
     for message in mcap::MessageStream::new(file).unwrap() {
         let message = message.unwrap();
-        if message.channel.topic == "/estimate/1" {
+        if message.channel.topic == Kind::Estimate.topic(IN_LOOP as u16) {
             keep(&mut estimates, v1::Estimate::decode(message.data.as_ref()).unwrap());
         }
     }
@@ -44,7 +47,7 @@ fn replayed(file: &Path, last_us: u64) -> Estimates {
     let mut live = Live::connect(rig.api(), &rig.system().vehicle("live?history=60"));
     let mut estimates = Estimates::new();
     live.until(Duration::from_secs(60), "the end of the replay", |frame| {
-        if frame.instance == 1
+        if frame.instance == IN_LOOP as u16
             && let Some(estimate) = frame.message(Kind::Estimate)
         {
             keep(&mut estimates, estimate);

@@ -33,7 +33,7 @@ mod imus;
 #[cfg(test)]
 pub(super) mod tests;
 mod vertical;
-mod yaw;
+pub mod yaw;
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use plumbline_proto::time::FlightTime;

@@ -143,8 +143,9 @@ pub struct FlightConfig {
 }
 
 impl FlightConfig {
-    /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, the bias EKF in the loop
-    /// with the complementary filter and the secure estimator by lanes beside it, no attacks.
+    /// Defaults for `airframe` on `rig` with the sensors of `suite`: 200 Hz, no attacks, the secure estimator by lanes
+    /// in the loop where there are [IMUs to compare](Self::in_loop_of), the bias EKF where there is one; both run, with
+    /// the complementary filter beside them.
     pub fn new(airframe: Airframe, rig: RigKind, suite: &Suite) -> Self {
         Self {
             design: Design::new(ControllerKind::LqrIntegral, &airframe),
@@ -155,7 +156,7 @@ impl FlightConfig {
             tick_rate_hz: 200.0,
             limits: Limits::default(),
             estimators: vec![EstimatorKind::EkfBias, EstimatorKind::Complementary, EstimatorKind::Lanes],
-            in_loop: EstimatorKind::EkfBias,
+            in_loop: Self::in_loop_of(suite.imus.len()),
             decoder: None,
             window_slots: SLOTS,
             sensor_model: SensorModel::from(suite),
@@ -166,6 +167,13 @@ impl FlightConfig {
             envelope: None,
             watermark: None,
         }
+    }
+
+    /// The estimator that a vehicle with so many IMUs is flown by where nobody says: each samples on a clock of its own,
+    /// what shakes the frame differs between them, and the bias EKF, which compares them at one instant, takes that for
+    /// faults.
+    pub fn in_loop_of(imus: usize) -> EstimatorKind {
+        if imus > 1 { EstimatorKind::Lanes } else { EstimatorKind::EkfBias }
     }
 
     /// What its estimators assume.

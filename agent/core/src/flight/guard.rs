@@ -82,8 +82,10 @@ impl Flight {
             None
         };
         let raw_height_m = self.supervision.watchdog.height_m();
+        let away = |(raw, altitude): (f64, f64)| (raw - altitude).abs() > ASTRAY_M;
+        // One that is attacked and one whose beam meets something read nothing alike: they are no majority.
         let astray =
-            raw_height_m.zip(estimate.altitude_m()).is_some_and(|(raw, altitude)| (raw - altitude).abs() > ASTRAY_M);
+            raw_height_m.zip(estimate.altitude_m()).is_some_and(away) && self.supervision.watchdog.heights_agree(now);
         let climbs = self.supervision.watchdog.coasting_mps().zip(estimate.climb_mps());
         let agree = self.supervision.watchdog.disagreement_rad(&estimate.world_from_body) < AGREEMENT_RAD
             && climbs.is_none_or(|(felt, estimated)| (felt - estimated).abs() < CLIMB_AGREEMENT_MPS);

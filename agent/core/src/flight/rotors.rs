@@ -56,6 +56,9 @@ const UNEXPLAINED: f64 = 0.5;
 const MISSING: f64 = 0.4;
 /// … and so many sigmas more: a push at one arm has its torque, and no less thrust.
 const MISSING_SIGMAS: f64 = 0.25;
+/// Strings push so as they become taut: there the thrust must have told the loss to so many sigmas, squared, which takes a while where it
+/// vibrates.
+const TOLD: f64 = 2.0;
 /// Smallest loss that is told.
 const LEAST_LOSS: f64 = 0.04;
 /// The estimate of an isolated rotor follows with this time constant, s.
@@ -103,11 +106,12 @@ impl Evidence {
     }
 
     /// Do torque and thrust both look like it?
-    fn fits(&self) -> bool {
+    fn fits(&self, strings: bool) -> bool {
         let unexplained = self.rr - self.explained() - 4.0 * self.lasts;
         let (ss, sr) = self.thrust;
         let missing = ss > 0.0 && sr / ss > MISSING * self.loss() + MISSING_SIGMAS / ss.sqrt();
-        self.loss() > LEAST_LOSS && unexplained < UNEXPLAINED * self.explained() && missing
+        let told = !strings || ss * self.loss().powi(2) > TOLD;
+        self.loss() > LEAST_LOSS && unexplained < UNEXPLAINED * self.explained() && missing && told
     }
 }
 
@@ -162,6 +166,8 @@ pub(super) struct Seen<'a> {
     pub voltage_ratio: f64,
     /// In the air, away from where it took off.
     pub free: bool,
+    /// Are there strings that may hold it?
+    pub strings: bool,
     pub dt_s: f64,
 }
 
@@ -241,7 +247,7 @@ impl RotorWatch {
             return None;
         }
         self.sum_up(seen.dt_s, &deviation);
-        self.isolate().or_else(|| self.follow(seen.dt_s, &deviation))
+        self.isolate(seen.strings).or_else(|| self.follow(seen.dt_s, &deviation))
     }
 
     /// Forgets what was summed up, and what was learned where nothing is isolated: what comes next is something else.
@@ -319,7 +325,7 @@ impl RotorWatch {
     }
 
     /// The rotor whose loss is beyond doubt.
-    fn isolate(&mut self) -> Option<Found> {
+    fn isolate(&mut self, strings: bool) -> Option<Found> {
         let above = |e: &Evidence| e.sum > LIMIT && e.explained() > 2.0 * LIMIT;
         let (i, best) = self.evidence.iter().enumerate().filter(|(_, e)| above(e)).max_by(|a, b| {
             let (a, b) = (a.1.explained(), b.1.explained());
@@ -327,7 +333,7 @@ impl RotorWatch {
         })?;
         let others = self.evidence.iter().enumerate().filter(|(j, _)| *j != i);
         let next = others.map(|(_, e)| e.explained()).fold(0.0, f64::max);
-        if best.explained() < next + 2.0 * ODDS || !best.fits() {
+        if best.explained() < next + 2.0 * ODDS || !best.fits(strings) {
             return None;
         }
         let loss = best.loss().min(self.effectiveness[i]);
@@ -393,6 +399,7 @@ impl Flight {
             applied: &self.report.applied,
             voltage_ratio,
             free,
+            strings: matches!(self.config.rig, RigKind::StringsFlight { .. }),
             dt_s,
         };
         if let Some(found) = self.rotors.step(&seen) {

@@ -3,7 +3,8 @@
 //! s = m f_z − T is what the accelerometers feel along the thrust axis beyond the thrust of the applied commands. Thrust is
 //! known to some percent only, and its error stays; what holds the vehicle up comes at once. So s counts from its
 //! least value of the last 5 to 10 s on, and only as far as vibration does not make it rise as well. Whoever integrates against
-//! a support sags when it lets go; whoever takes vibration for one never comes down to his setpoint.
+//! a support, or between two bounces on one, sags when it lets go; whoever takes vibration for one never comes down to his
+//! setpoint.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -37,6 +38,11 @@ const RISES: f64 = 7.5;
 const HELD: f64 = 0.06;
 /// … until below this.
 const RELEASED: f64 = 0.03;
+/// What held it up for longer than this, s, counts for so much longer, s: on strings a vehicle bounces. Vibration does not last as long, unless it
+/// is strong: not where its usual is more than this part of the weight.
+const LASTS_S: f64 = 0.1;
+const BOUNCES_S: f64 = 1.0;
+const SHAKEN: f64 = 0.04;
 
 /// The observer.
 #[derive(Debug, Clone, Default)]
@@ -50,7 +56,10 @@ pub struct Support {
     /// Of the present span and of the one before.
     least_n: [Option<f64>; 2],
     span_s: f64,
-    held: bool,
+    /// Held for so long in a row, s; and for so long yet it counts, s.
+    held_s: f64,
+    counts_s: f64,
+    force_n: f64,
 }
 
 impl Support {
@@ -93,14 +102,23 @@ impl Support {
             self.least_n = [None, self.least_n[0]];
         }
         self.least_n[0] = Some(self.least_n[0].map_or(smooth_n, |least| least.min(smooth_n)));
-        let limit = if self.held { RELEASED } else { HELD };
+        let limit = if self.held_s > 0.0 { RELEASED } else { HELD };
         let vibrates_n = (self.vibrates_n - QUIET * airframe.weight_n()).max(0.0);
-        self.held = self.risen_n() > limit * airframe.weight_n() + RISES * vibrates_n;
+        let risen_n = self.risen_n();
+        let held = risen_n > limit * airframe.weight_n() + RISES * vibrates_n;
+        self.held_s = if held { self.held_s + dt_s } else { 0.0 };
+        let bounces = self.held_s > LASTS_S && self.vibrates_n < SHAKEN * airframe.weight_n();
+        self.counts_s = if bounces { BOUNCES_S } else { (self.counts_s - dt_s).max(0.0) };
+        self.force_n = match held {
+            true => risen_n,
+            false if self.counts_s > 0.0 => RELEASED * airframe.weight_n(),
+            false => 0.0,
+        };
     }
 
-    /// Force that holds the vehicle up, N; zero while nothing does.
+    /// Force that holds the vehicle up, N; zero while nothing does, and least between two bounces.
     pub fn force_n(&self) -> f64 {
-        if self.held { self.risen_n() } else { 0.0 }
+        self.force_n
     }
 
     fn risen_n(&self) -> f64 {
@@ -149,7 +167,11 @@ mod tests {
         run(&mut support, 0.2, 9.81 * 1.2, 0.6, true);
         let force_n = support.force_n();
         assert!((force_n / (0.2 * Airframe::iris().weight_n()) - 1.0).abs() < 0.05, "{force_n} N");
+        // It counts a little while longer: strings are met again.
         run(&mut support, 0.2, 9.81, 0.6, true);
+        let force_n = support.force_n() / Airframe::iris().weight_n();
+        assert!(force_n > 0.0 && force_n < 0.05, "{force_n}");
+        run(&mut support, 1.0, 9.81, 0.6, true);
         assert_eq!(support.force_n(), 0.0);
         // What lasts is taken for thrust.
         run(&mut support, 11.0, 9.81 * 1.2, 0.6, true);

@@ -53,9 +53,13 @@ impl Measured {
         Self { time, value_m, from: (time, value_m), slope_mps: None, spurious: 0 }
     }
 
+    /// Where the last values lead at `time`, m.
+    fn led_m(&self, time: FlightTime) -> f64 {
+        self.value_m + self.slope_mps.unwrap_or(0.0) * time.seconds_since(self.time)
+    }
+
     fn then(self, time: FlightTime, value_m: f64) -> Self {
-        let led_m = self.value_m + self.slope_mps.unwrap_or(0.0) * time.seconds_since(self.time);
-        if (value_m - led_m).abs() > SPURIOUS_M {
+        if (value_m - self.led_m(time)).abs() > SPURIOUS_M {
             let spurious = self.spurious + 1;
             return if spurious < LASTING { Self { spurious, ..self } } else { Self::first(time, value_m) };
         }
@@ -243,6 +247,13 @@ impl Watchdog {
         self.judged.height_m
     }
 
+    /// Do most of the heights read as their median does, or are there fewer than three?
+    pub fn heights_agree(&self, now: FlightTime) -> bool {
+        let heights = || self.heights.iter().flatten().map(|h| h.led_m(now));
+        let (count, middle_m) = (heights().count(), median(heights()));
+        count < 3 || 2 * heights().filter(|led_m| (led_m - middle_m).abs() < SPURIOUS_M).count() > count
+    }
+
     /// Median of the slopes of these heights, m/s.
     pub fn climb_mps(&self) -> Option<f64> {
         self.judged.climb_mps
@@ -369,6 +380,29 @@ mod tests {
             }
             assert_eq!(watchdog.coasting_mps(), None);
         }
+    }
+
+    /// GIVEN lasers at 10 Hz that sample in turns WHEN one of three is attacked and the beam of another meets something THEN they do not agree;
+    /// two that read the same do, however fast they climb, and so do fewer than three.
+    #[test]
+    fn two_that_read_nothing_alike_are_no_majority() {
+        let agree = |reads: &[fn(f64) -> f64]| {
+            let mut watchdog = Watchdog::new(&[]);
+            let mut now = FlightTime(0);
+            for tick in 0..200_u64 {
+                now = FlightTime(tick * 5000);
+                let mut frame = SensorFrame { time: now, ..SensorFrame::default() };
+                for (i, read) in reads.iter().enumerate().filter(|(i, _)| tick % 20 == 6 * *i as u64) {
+                    frame.heights[i] = Some(HeightSample { time: now, height_m: read(now.as_seconds()) });
+                }
+                watchdog.step(&frame, DT_S);
+            }
+            watchdog.heights_agree(now)
+        };
+        assert!(!agree(&[|_| 0.0, |_| 0.4, |_| 1.2]));
+        assert!(agree(&[|_| 0.0, |_| 1.15, |_| 1.2]) && agree(&[|_| 0.0, |t| 4.0 * t, |t| 4.0 * t]));
+        assert!(agree(&[|_| 0.0, |_| 1.2]) && agree(&[|_| 0.4]) && agree(&[]));
+        assert!(!agree(&[|_| 0.0, |_| 0.5, |_| 1.0, |_| 1.1]));
     }
 
     /// GIVEN three lasers at 10 Hz WHEN the beams of two meet something for two scans THEN the height stays, and a third scan is taken.

@@ -9,7 +9,7 @@ use super::{
 use crate::cli::motors;
 use plumbline_agent::model::airframe::Airframe;
 use plumbline_agent::sim::rig::{HangingStrings, Rig};
-use plumbline_agent::types::{Actuation, EstimatorKind};
+use plumbline_agent::types::Actuation;
 use plumbline_devices::autopilot::pose::PoseLine;
 use plumbline_devices::autopilot::rates::RatesLine;
 use plumbline_devices::driver::Driver;
@@ -34,11 +34,6 @@ pub(super) fn attached(arguments: &FlyArguments, config: &AgentConfig) -> Result
     let suite = spec::suite(&config.device)?;
     let tick_rate_hz = config.tick_rate_hz.unwrap_or(200.0);
     let mut flight = FlightConfig { tick_rate_hz, ..FlightConfig::new(airframe.clone(), rig.kind(&airframe), &suite) };
-    if suite.imus.len() > 1 {
-        // Each samples on a clock of its own: what shakes the frame differs between them, and an estimator that compares
-        // them at one instant takes that for faults.
-        flight.in_loop = EstimatorKind::Lanes;
-    }
     let zero = Zero::ticking(tick_rate_hz);
     let (mut devices, mut autopilot) = (Vec::new(), None);
     for device in &config.device {

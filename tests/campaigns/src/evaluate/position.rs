@@ -62,7 +62,7 @@ pub fn phantom4(scored: &mut Scored, effort: &Effort) -> Result<(), ReportError>
         scored.skipped("phantom4", "data/phantom4_4imu_rtk is absent");
         return Ok(());
     };
-    for (estimator, limit) in [("ekf-bias", Some(1.2)), ("ekf-hybrid", None), ("ukf", None)] {
+    for (estimator, limit) in [("ekf-bias", Some(1.2)), ("lanes", None), ("ekf-hybrid", None), ("ukf", None)] {
         let mut traces = Vec::new();
         let mut squares = 0.0;
         let mut latest = 0.0_f64;

@@ -6,20 +6,35 @@
 //! so for as long as nothing else measures the yaw: a filter that took over from a mixture which agrees with itself
 //! was tried and did worse (Phantom 4, 1 Hz: 1.8 m instead of 1.1 m), since it cannot open its yaw again.
 
-use nalgebra::Vector2;
+use nalgebra::{UnitQuaternion, Vector2};
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
-use super::covariance::ix;
+use super::covariance::{Covariance, ix};
 use super::{EkfBias, Inertial};
 use crate::estimate::aiding::idle::UNKNOWN_YAW_SIGMA_RAD;
 use crate::estimate::filter::kalman::forget;
 use crate::estimate::yaw_mixture::Horizontal;
 use crate::estimate::{Channel, Residual};
+use crate::sensor::measure::Kinematics;
 use crate::sensor::{Accuracy, SensorFrame};
 
 /// One-sigma of roll and pitch as the attitude filter has them, rad.
 const TILT_SIGMA_RAD: f64 = 0.06;
+
+/// Horizontal state and attitude are those of the mixture: `found`, with its attitude `world_from_body`.
+pub fn follow(found: &Horizontal, world_from_body: &UnitQuaternion<f64>, at: &mut Kinematics, p: &mut Covariance) {
+    at.world_from_body = *world_from_body;
+    for axis in 0..2 {
+        at.position_enu_m[axis] = found.position_m[axis];
+        at.velocity_enu_mps[axis] = found.velocity_mps[axis];
+        forget(p, ix::POSITION + axis, found.position_variance[axis]);
+        forget(p, ix::VELOCITY + axis, found.velocity_variance[axis]);
+        forget(p, ix::ATTITUDE + axis, TILT_SIGMA_RAD * TILT_SIGMA_RAD);
+    }
+    let yaw_rad = found.yaw_sigma_rad.min(UNKNOWN_YAW_SIGMA_RAD);
+    forget(p, ix::ATTITUDE + 2, yaw_rad * yaw_rad);
+}
 
 impl EkfBias {
     /// Shows the mixture what arrived in `frame`, `dt_s` after the IMU sample before: from the first sample on, since
@@ -45,17 +60,7 @@ impl EkfBias {
     pub(super) fn follow_mixture(&mut self) {
         let Some(found) = self.mixture.horizontal().filter(|_| !self.yaw_known) else { return };
         self.state.gyro_bias_radps = self.mixture.gyro_bias_radps();
-        let k = &mut self.state.kinematics;
-        k.world_from_body = self.mixture.world_from_body();
-        for axis in 0..2 {
-            k.position_enu_m[axis] = found.position_m[axis];
-            k.velocity_enu_mps[axis] = found.velocity_mps[axis];
-            forget(&mut self.p, ix::POSITION + axis, found.position_variance[axis]);
-            forget(&mut self.p, ix::VELOCITY + axis, found.velocity_variance[axis]);
-            forget(&mut self.p, ix::ATTITUDE + axis, TILT_SIGMA_RAD * TILT_SIGMA_RAD);
-        }
-        let yaw = found.yaw_sigma_rad.min(UNKNOWN_YAW_SIGMA_RAD);
-        forget(&mut self.p, ix::ATTITUDE + 2, yaw * yaw);
+        follow(&found, &self.mixture.world_from_body(), &mut self.state.kinematics, &mut self.p);
     }
 
     /// Residuals of a fix that only the mixture has used.

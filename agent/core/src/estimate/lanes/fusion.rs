@@ -35,17 +35,28 @@ const ALTITUDE_SIGMA_M: f64 = 0.3;
 const POSE_MEMORY_S: f64 = 1.0;
 /// A lane further from the heaviest in altitude, m, or climb, m/s, weighs nothing.
 const AWAY: (f64, f64) = (0.5, 1.0);
-/// Lanes that weigh at least so much and differ in tilt by more, rad, contradict each other.
+/// Lanes that weigh at least so much contradict each other where none of them has all others nearer than this in tilt, rad.
 const WEIGHTY: f64 = 0.15;
 const CONTRADICTION_RAD: f64 = 0.2;
 /// Part of how far apart they are, and of what they rectify, that is learned from slot to slot as usual: 8 s.
 const USUAL_GAIN: f64 = 0.005;
+
+/// How far the tilts of all lie about the one that is nearest to all, rad: half of how far they are apart where they lie about a middle,
+/// and all of it where two of four stand against the others.
+fn apart_rad<'a>(attitudes: impl Iterator<Item = &'a UnitQuaternion<f64>> + Clone) -> f64 {
+    let from = |one: &UnitQuaternion<f64>| {
+        let inverse = one.inverse();
+        attitudes.clone().map(|other| tilt_rad(&(inverse * other))).fold(0.0, f64::max)
+    };
+    attitudes.clone().map(from).reduce(f64::min).unwrap_or_default()
+}
 
 impl Lanes {
     /// Takes a closed slot.
     pub(super) fn advance(&mut self, slot: &Slot) {
         self.report.count += 1;
         self.count(slot);
+        self.feed_mixture(slot);
         if let Some(start) = &mut self.start {
             if let Some(found) = start.take(slot, &self.model.imus) {
                 self.begin(&found, slot);
@@ -58,6 +69,7 @@ impl Lanes {
         let beyond_m = self.compare_heights(slot);
         self.note(slot);
         let heard = self.correct(slot, beyond_m);
+        self.follow_mixture();
         self.judges.evidence.take(&heard);
         self.fuse();
         self.judge_heights(slot, learning);
@@ -112,6 +124,7 @@ impl Lanes {
             lane.begin(&at, biases, [POSITION_SIGMA_M, velocity, tilt, yaw, gyro_bias], &self.model);
             lane.p[(2, 2)] = z * z;
         }
+        self.aided.yaw.known |= found.field_ut.is_some();
         self.aided.field_ut = found.field_ut.map(|field| field.norm());
         self.start = None;
         self.judges.evidence.forgive();
@@ -191,6 +204,7 @@ impl Lanes {
             barometers: !self.aided.heights.ever(),
             wash_sigma_m,
             gnss_height_m,
+            yaw_known: self.aided.yaw.known,
             unaided,
         };
         let common = self.common(&slot.imus);
@@ -309,12 +323,8 @@ impl Lanes {
             self.fused.mixture.weights = weights;
             self.fused.best = best;
         }
-        let weighty = || self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > WEIGHTY).map(|(lane, _)| lane);
-        let from = |one: &super::Lane| {
-            let inverse = one.at.world_from_body.inverse();
-            weighty().map(|other| tilt_rad(&(inverse * other.at.world_from_body))).fold(0.0, f64::max)
-        };
-        let most_rad = weighty().map(from).fold(0.0, f64::max);
+        let weighty = self.lanes.iter().zip(weights).filter(|(_, weight)| *weight > WEIGHTY);
+        let most_rad = apart_rad(weighty.map(|(lane, _)| &lane.at.world_from_body));
         // Where all are surprised by more than they expect, or have long been apart, they differ by more.
         let usual_rad = &mut self.fused.usual_rad;
         let limit_rad = CONTRADICTION_RAD * self.judges.evidence.average().sqrt() + *usual_rad;
@@ -363,5 +373,26 @@ impl Lanes {
         let integrals = self.slots.integrals();
         let totals = std::array::from_fn(|i| integrals.get(i).and_then(of));
         self.predictor.rebase(slot.end(), &self.fused.at, &totals, &self.fused.mixture);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    #[test]
+    fn two_against_two_contradict_and_those_about_a_middle_do_not() {
+        let apart = |rolls_rad: [f64; 4]| {
+            let attitudes = rolls_rad.map(|roll| UnitQuaternion::from_scaled_axis(Vector3::x() * roll));
+            apart_rad(attitudes.iter())
+        };
+        for (rolls_rad, found_rad) in
+            [([0.0, 0.01, 0.39, 0.4], 0.39), ([0.0, 0.4, 0.4, 0.4], 0.4), ([-0.2, 0.0, 0.0, 0.2], 0.2), ([0.3; 4], 0.0)]
+        {
+            assert!((apart(rolls_rad) - found_rad).abs() < 1e-9, "{rolls_rad:?}: {}", apart(rolls_rad));
+        }
+        assert_eq!(apart_rad([].iter()), 0.0);
     }
 }

@@ -67,6 +67,8 @@ struct Laser {
     /// Samples in a row that were far from the altitude predicted; is the last of them not heard, and how many of late were not.
     far: u32,
     unheard: bool,
+    /// Is it alone in that, and another one near?
+    outvoted: bool,
     spurious: f64,
     offset_m: f64,
     scale: f64,
@@ -138,13 +140,14 @@ impl Heights {
         ((apart + 2.0 * USUAL_M * USUAL_M) / ((n - 1.0) * n)).sqrt()
     }
 
-    /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps, nor one whose last residual was not admitted.
+    /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps, nor one whose last residual was not admitted or
+    /// is outvoted.
     pub fn weight(&self, index: usize) -> f64 {
         if self.split.refuses(index) {
             return 0.0;
         }
         self.lasers.get(index).map_or(1.0, |laser| match laser {
-            Laser { excluded: true, .. } | Laser { unheard: true, .. } => 0.0,
+            Laser { excluded: true, .. } | Laser { unheard: true, .. } | Laser { outvoted: true, .. } => 0.0,
             Laser { weight, seen, .. } if *seen >= KEPT && *weight > 0.0 => *weight,
             _ => 1.0,
         })
@@ -179,25 +182,28 @@ impl Heights {
     pub fn admit(&mut self, index: usize, residual_m: f64, now: FlightTime) -> bool {
         let far =
             if residual_m.abs() > GAP_M { self.lasers.get(index).map_or(0, |l| l.far).saturating_add(1) } else { 0 };
+        let recent = |laser: &Laser| {
+            laser.latest.filter(|(time, _)| !laser.excluded && now.seconds_since(*time).abs() < RECENT_S)
+        };
         let alike = |laser: &Laser| {
-            let near = |(time, value): (FlightTime, f64)| {
-                now.seconds_since(time).abs() < RECENT_S && (value - residual_m).abs() < GAP_M
-            };
-            !laser.excluded
-                && laser.latest.is_some_and(near)
+            recent(laser).is_some_and(|(_, value)| (value - residual_m).abs() < GAP_M)
                 && far >= SPURIOUS_ALIKE
                 && (!laser.unheard || laser.far >= SPURIOUS_ALIKE)
         };
-        let alone = !self.lasers.iter().enumerate().any(|(i, laser)| i != index && alike(laser));
+        let others = || self.lasers.iter().enumerate().filter(|(i, _)| *i != index);
+        let alone = !others().any(|(_, laser)| alike(laser));
+        let near = |(i, laser): (usize, &Laser)| laser.far == 0 && recent(laser).is_some() && !self.split.refuses(i);
+        let outvoted = alone && far > 0 && others().any(near);
         self.lasers.get_mut(index).is_none_or(|laser| {
             laser.far = far;
             laser.unheard = alone && (1..SPURIOUS).contains(&far);
+            laser.outvoted = outvoted;
             laser.spurious = FADES * laser.spurious + f64::from(u8::from(laser.unheard));
             !laser.unheard
         })
     }
 
-    /// What laser `index` reads further than it can reach from the median of at least three, m.
+    /// What laser `index` reads further than it can reach from the median of at least three, m; of two what was predicted is the third.
     pub fn beyond_reach_m(&self, index: usize, residual_m: f64, now: FlightTime) -> f64 {
         let mut recent: ArrayVec<f64, MAX_HEIGHTS> = ArrayVec::new();
         for (i, laser) in self.lasers.iter().enumerate() {
@@ -206,6 +212,9 @@ impl Heights {
             let value = latest.map(|(_, value)| if laser.unheard { 0.0 } else { value });
             let value = if i == index { Some(residual_m) } else { value };
             recent.extend(value.filter(|_| i == index || !laser.excluded && !self.split.refuses(i)));
+        }
+        if recent.len() == 2 {
+            let _ = recent.try_push(0.0);
         }
         if recent.len() < 3 {
             return 0.0;
@@ -410,6 +419,28 @@ mod tests {
         }
     }
 
+    /// GIVEN one of three lasers excluded WHEN the beam of another meets something for long THEN it counts for nothing while the third reads
+    /// as predicted; where that reads the same, both count.
+    #[test]
+    fn a_beam_in_the_way_does_not_outvote_one_that_reads_as_predicted() {
+        for third_m in [0.01, -0.8] {
+            let mut heights = Heights::default();
+            run(&mut heights, 0, 300, [0.0; 3]);
+            heights.lasers[0].excluded = true;
+            let mut counts = [0.0; 2];
+            for scan in 0..6_u64 {
+                for (i, residual_m) in [-1.2, -0.8, third_m].into_iter().enumerate() {
+                    let now = FlightTime((300 + 3 * scan + i as u64) * 40_000);
+                    heights.admit(i, residual_m, now);
+                    heights.take(i, now, residual_m);
+                }
+                counts = [heights.weight(1), heights.weight(2)];
+                assert!(third_m < 0.0 || counts[0] == 0.0, "{scan}: {counts:?}");
+            }
+            assert_eq!(counts.map(|count| count > 0.0), [third_m < 0.0, true], "{counts:?}");
+        }
+    }
+
     #[test]
     fn a_step_reaches_no_further_than_its_reach_before_it_is_excluded() {
         let mut heights = Heights::default();
@@ -417,5 +448,10 @@ mod tests {
         let now = FlightTime(29 * 40_000);
         assert!((heights.beyond_reach_m(0, 0.3, now) - 0.275).abs() < 0.01);
         assert_eq!(heights.beyond_reach_m(0, 0.01, now), 0.0);
+        // Of two that are left what was predicted is the third; what both read counts in full.
+        heights.lasers[2].excluded = true;
+        assert!((heights.beyond_reach_m(0, -0.09, now) + 0.065).abs() < 0.01);
+        heights.take(1, now, -0.08);
+        assert_eq!(heights.beyond_reach_m(0, -0.09, now), 0.0);
     }
 }

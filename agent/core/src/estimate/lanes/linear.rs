@@ -170,6 +170,7 @@ impl<'a> Hovering<'a> {
             drag: self.drag,
             barometers: false,
             wash_sigma_m: 0.0,
+            yaw_known: true,
             gnss_height_m: None,
             unaided,
         };

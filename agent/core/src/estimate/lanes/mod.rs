@@ -43,6 +43,7 @@ mod start;
 mod tests;
 mod thrust;
 mod vote;
+mod yaw;
 
 use nalgebra::Vector3;
 use plumbline_proto::ids::SensorId;
@@ -60,6 +61,7 @@ use self::slot::Slots;
 use self::start::Start;
 use self::thrust::Thrust;
 use self::vote::Vote;
+use self::yaw::Yaw;
 use super::aiding::floor::Floor;
 use super::aiding::freshness::Freshness;
 use super::aiding::idle::Idle;
@@ -145,6 +147,7 @@ struct Aided {
     floor: Floor,
     /// Strength of the magnetic field where it started, µT.
     field_ut: Option<f64>,
+    yaw: Yaw,
 }
 
 /// Where it is in time, and what it has lived through.

@@ -89,6 +89,8 @@ pub struct Around<'a> {
     pub wash_sigma_m: f64,
     /// Height over the floor by GNSS, m, where nothing says more.
     pub gnss_height_m: Option<f64>,
+    /// Does GNSS tell anything horizontal?
+    pub yaw_known: bool,
     /// Due in this slot?
     pub unaided: Option<Unaided>,
 }
@@ -170,14 +172,14 @@ impl Correction<'_> {
         let Some(sample) = slot.gnss else { return };
         let (model, age_s) = (around.model.gnss, slot.age_s(sample.time));
         let sensor = SensorId::new(SensorKind::Gnss, 1);
-        let [east, north] = [0, 1].map(|axis| Some(sample.position_enu_m[axis]));
+        let [east, north] = [0, 1].map(|axis| around.yaw_known.then_some(sample.position_enu_m[axis]));
         for (axis, place_m) in [east, north, around.gnss_height_m].into_iter().enumerate() {
             if let Some(place_m) = place_m {
                 let measured = measure::position(&self.lane.past(age_s), axis, place_m);
                 self.row(row((sensor, XYZ[axis]), &measured, model.position(&sample, axis), age_s));
             }
         }
-        for (axis, channel) in VELOCITY.into_iter().enumerate() {
+        for (axis, channel) in VELOCITY.into_iter().enumerate().skip(if around.yaw_known { 0 } else { 2 }) {
             let measured = measure::velocity(&self.lane.past(age_s), axis, sample.velocity_enu_mps[axis]);
             self.row(row((sensor, channel), &measured, model.velocity, age_s));
         }

@@ -16,6 +16,9 @@ struct Hover {
     /// A hand's torque, N m, and force, N.
     torque: Vector3<f64>,
     force_n: f64,
+    /// Hangs on strings; and what its accelerometers are shaken by beside their noise, from end to end, m/s².
+    strings: bool,
+    shaken_mps2: f64,
 }
 
 impl Hover {
@@ -32,6 +35,8 @@ impl Hover {
             rng: Xoshiro256PlusPlus::seed_from_u64(seed),
             torque: Vector3::zeros(),
             force_n: 0.0,
+            strings: false,
+            shaken_mps2: 0.0,
         }
     }
 
@@ -50,10 +55,11 @@ impl Hover {
             let seen = Seen {
                 airframe: &self.airframe,
                 rates_radps: self.rates + Vector3::new(noise(0.02), noise(0.02), noise(0.01)),
-                force_mps2: (wrench.thrust_n + self.force_n) / self.airframe.mass_kg + noise(0.5),
+                force_mps2: (wrench.thrust_n + self.force_n) / self.airframe.mass_kg + noise(0.5 + self.shaken_mps2),
                 applied: &self.applied,
                 voltage_ratio: 1.0,
                 free,
+                strings: self.strings,
                 dt_s: DT_S,
             };
             let found = self.watch.step(&seen);
@@ -71,8 +77,9 @@ impl Hover {
 #[test]
 fn a_loss_is_isolated_estimated_and_its_end_is_seen() {
     for rotor in 0..ROTORS {
-        for loss in [0.2, 0.5] {
+        for (loss, strings) in [(0.2, false), (0.2, true), (0.5, false), (0.5, true)] {
             let mut hover = Hover::new(rotor as u64);
+            hover.strings = strings;
             assert_eq!(hover.fly(5.0, [1.0; ROTORS], true), None, "nothing is lost yet");
             let mut parts = [1.0; ROTORS];
             parts[rotor] -= loss;
@@ -133,4 +140,21 @@ fn what_was_learned_outlives_a_taut_string() {
     assert_eq!(hover.fly(0.6, [1.0; ROTORS], true), None);
     let (after_s, found) = hover.fly(2.0, [1.0, 0.8, 1.0, 1.0], true).unwrap();
     assert!(after_s < 0.3 && found == Found::Weak(1), "{found:?} after {after_s} s");
+}
+
+/// GIVEN a vehicle whose accelerometers vibrate WHEN a string becomes taut for a fifth of a second THEN no rotor is taken for weak, as one
+/// would be were it not known to hang on strings.
+#[test]
+fn a_string_that_jerks_is_no_rotor_where_the_thrust_vibrates() {
+    let is_taken = |strings: bool, seed: u64| {
+        let mut hover = Hover::new(seed);
+        (hover.strings, hover.shaken_mps2) = (strings, 30.0);
+        assert_eq!(hover.fly(5.0, [1.0; ROTORS], true), None, "{seed}");
+        (hover.torque, hover.force_n) = (Vector3::new(0.3, -0.2, 0.0), 2.0);
+        let jerk = hover.fly(0.2, [1.0; ROTORS], true);
+        (hover.torque, hover.force_n) = (Vector3::zeros(), 0.0);
+        jerk.or(hover.fly(0.5, [1.0; ROTORS], true)).is_some()
+    };
+    let [without, with] = [false, true].map(|strings| (0..40).filter(|seed| is_taken(strings, *seed)).count());
+    assert!(without > 0 && with == 0, "{without} {with}");
 }
