@@ -604,9 +604,8 @@ await step(page, 'another estimator over the recording, laid over its charts, an
 });
 
 const save = async (name) => {
-  const waiting = page.waitForEvent('download');
-  await page.getByRole('link', { name, exact: true }).click();
-  return (await waiting).path();
+  const [file] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', { name, exact: true }).click()]);
+  return file.path();
 };
 
 await step(page, 'the downloaded MCAP holds exactly the messages the API promises', async () => {

@@ -191,14 +191,13 @@ await step(page, 'charts: a drag pans, with Shift it chooses values, a double-cl
   await until('back', async () => JSON.stringify(await ticks('.y-labels')) === JSON.stringify(values) || (await altitude.getByRole('button', { name: /zoom/ }).count()) === 0);
   const lanes = region('Timeline');
   const told = await lanes.getByRole('listitem').allTextContents();
-  assert(told.includes('Altitude hold') && told.some((text) => /EKF/.test(text)) && told.includes('0.80 m'), told.join());
+  assert(told.includes('Altitude hold') && told.some((text) => /Secure \(lanes\)/.test(text)) && told.includes('0.80 m'), told.join());
   return { zoom, chosen, told };
 });
 
 const save = async (press) => {
-  const waiting = page.waitForEvent('download');
-  await press();
-  return (await waiting).path();
+  const [file] = await Promise.all([page.waitForEvent('download'), press()]);
+  return file.path();
 };
 
 await step(page, 'a chart goes along as CSV: what is visible, a column per curve', async () => {
@@ -337,6 +336,12 @@ await step(page, 'another flight, under other gains', async () => {
   await until('disarmed', async () => /disarmed/i.test(await banner.getByLabel('Arming').textContent()), 40_000);
 });
 
+const ask = async (name) => {
+  const what = page.getByLabel('What is compared: the altitude, or a signal by its name');
+  await what.fill(name);
+  await what.press('Tab');
+};
+
 await step(page, 'compare: laid together, their difference, and what was not the same', async () => {
   const flights = await until('two flights', async () => {
     const flights = await listed();
@@ -379,11 +384,6 @@ await step(page, 'compare: laid together, their difference, and what was not the
   await shots(page, 'compare');
   const after = await rms();
   // Any signal instead of the altitude, in its own unit; a misspelt one is said, and an empty field is the altitude again.
-  const what = page.getByLabel('What is compared: the altitude, or a signal by its name');
-  const ask = async (name) => {
-    await what.fill(name);
-    await what.press('Tab');
-  };
   await ask('control.thrust');
   await until('no such signal', async () => /is no signal of the first flight/.test(await page.locator('#main').getByRole('alert').textContent()));
   await ask('control.thrust_n');
@@ -395,6 +395,30 @@ await step(page, 'compare: laid together, their difference, and what was not the
   await ask('');
   await until('the altitude again', async () => (await rms()) > 0);
   return { before, after, differs };
+});
+
+await step(page, 'compare: a signal asked for before the ground has told which there are is read when it has; the last one asked for counts', async () => {
+  let held = [];
+  const list = /\/api\/v1\/flights\/[^/]*\/signals$/;
+  await page.route(list, (route) => (held ? held.push(route) : route.continue()));
+  await page.reload();
+  await region('Difference of altitude').waitFor();
+  const note = page.locator('.compare .sheet-head');
+  for (const name of ['control.thrust_n', 'control.setpoint.altitude_m']) {
+    await ask(name);
+    await note.getByText('reading…').waitFor();
+  }
+  // The one asked for first is answered last.
+  const late = held.reverse();
+  held = undefined;
+  for (const route of late) {
+    await route.continue();
+    await page.waitForTimeout(200);
+  }
+  await region('Difference of control.setpoint.altitude_m').waitFor();
+  await page.waitForTimeout(500);
+  assert((await region('Difference of control.thrust_n').count()) === 0, 'an answer that came too late is shown');
+  await page.unroute(list);
 });
 
 await step(page, 'a flight that there is not is a page that says so', async () => {
@@ -484,9 +508,7 @@ await step(page, 'experiments: the report, without its ground, keeps its tables 
   const alone = await context.newPage();
   await alone.setContent(html);
   const kept = async (link) => {
-    const waiting = alone.waitForEvent('download');
-    await link.click();
-    const download = await waiting;
+    const [download] = await Promise.all([alone.waitForEvent('download'), link.click()]);
     return { name: download.suggestedFilename(), text: readFileSync(await download.path(), 'utf8') };
   };
   const tables = alone.getByRole('link', { name: 'LaTeX', exact: true });
@@ -570,10 +592,12 @@ await step(page, 'experiments by hand: led through a drawn order on the vehicle;
   const present = () => led.locator('li[aria-current="step"]').textContent();
   const at = (title) => until(title, async () => (await present()).startsWith(title), 30_000);
   const flown = async () => {
-    // Where the estimator is in the loop already there is nothing to set up.
-    await until('set up, or so already', async () => /^(Set up|Arm)/.test(await present()), 30_000);
-    if (/^Set up/.test(await present())) await led.getByRole('button', { name: 'Set up' }).click();
-    await at('Arm');
+    // Where the estimator is in the loop already there is nothing to set up, and the step is over before it can be pressed.
+    const press = () => led.getByRole('button', { name: 'Set up' }).click({ timeout: 1000 }).catch(() => {});
+    await until('set up', async () => {
+      if (/^Set up/.test(await present())) await press();
+      return /^Arm/.test(await present());
+    }, 30_000);
     await arm();
     await at('Fly the profile');
     await led.getByRole('button', { name: 'Fly the profile' }).click();

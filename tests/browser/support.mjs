@@ -37,12 +37,21 @@ export async function shots(page, name, size = '1280x720') {
   }
 }
 
+const LAUNCHES = 3;
+
 // Headless Chromium draws WebGL2 in software without flags; root needs the sandbox off. A graphics card is used where
-// PLUMBLINE_CHROMIUM_FLAGS say how.
-export const launch = (...more) => {
+// PLUMBLINE_CHROMIUM_FLAGS say how. It may die by itself before there is a page: then it is started again, and that is told.
+export const launch = async (...more) => {
   const flags = (process.env.PLUMBLINE_CHROMIUM_FLAGS ?? '').split(/\s+/).filter(Boolean);
   const args = ['--no-sandbox', '--disable-dev-shm-usage', ...flags, ...more];
-  return chromium.launch({ executablePath: need('PLUMBLINE_CHROMIUM'), args });
+  for (let tries = 1; ; tries += 1) {
+    try {
+      return await chromium.launch({ executablePath: need('PLUMBLINE_CHROMIUM'), args });
+    } catch (error) {
+      if (tries === LAUNCHES) throw error;
+      console.error(`Chromium did not start, once more: ${error.message}`);
+    }
+  }
 };
 
 let failures = 0;

@@ -221,7 +221,7 @@ pub struct HeatmapView<'a> {
 /// One row of a heat map.
 #[derive(Debug, Clone, Copy)]
 pub struct HeatRow<'a> {
-    /// Innovation ratios; above 1 the measurement was rejected.
+    /// Innovation ratios; 1 is the gate.
     pub ratio: &'a Series,
     /// The first row of a sensor: a line separates it from the one above.
     pub group_start: bool,

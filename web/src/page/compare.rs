@@ -209,9 +209,24 @@ struct Read {
     samples: Samples,
 }
 
-/// Flight time at which a flight begins, s.
-async fn begins_s(id: &str) -> Result<f64, Failure> {
-    Ok(net::json::<Signals>("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await?.start_s)
+/// The signals of a flight, and when it begins.
+async fn recorded(id: &str) -> Result<Signals, Failure> {
+    net::json("GET", &format!("/api/v1/flights/{id}/signals"), None, "").await
+}
+
+/// The signal called so of each flight.
+async fn read_all(ids: &[String], name: &str) -> Result<(Recorded, Vec<Read>), String> {
+    let (mut signal, mut reads) = (None, Vec::new());
+    for id in ids {
+        let of = |why: Failure| format!("{id}: {}", why.text);
+        let Signals { start_s, signals } = recorded(id).await.map_err(of)?;
+        if signal.is_none() {
+            let known = signals.into_iter().find(|signal| signal.name == name);
+            signal = Some(known.ok_or_else(|| format!("{name:?} is no signal of the first flight"))?);
+        }
+        reads.push(Read::of(id, name, start_s).await.map_err(of)?);
+    }
+    Ok((signal.ok_or("no flight is compared")?, reads))
 }
 
 impl Read {
@@ -241,7 +256,7 @@ async fn whole(id: &str, length_s: f64, told: impl Fn(f64)) -> Result<(Live, u64
         return Ok((load(id, KINDS, "", told).await?, 1));
     }
     let mut flight = load(id, KINDS, &format!("&columns={OVERVIEW_COLUMNS}"), told).await?;
-    let (estimator, start_s, mut each) = (flight.in_loop(), begins_s(id).await?, 1);
+    let (estimator, start_s, mut each) = (flight.in_loop(), recorded(id).await?.start_s, 1);
     for (curve, name) in [
         (Curve::Altitude(estimator), format!("estimate_{estimator}.position_enu_m.z")),
         (Curve::SetpointAltitude, "control.setpoint.altitude_m".to_owned()),
@@ -291,46 +306,39 @@ fn Overlay(deck: Deck, lives: StoredValue<Vec<Live>, LocalStorage>, flights: Vec
     let ids: Vec<String> = flights.iter().map(|flight| flight.id.clone()).collect();
     if let Some(first) = ids.first().cloned() {
         leptos::task::spawn_local(async move {
-            let url = format!("/api/v1/flights/{first}/signals");
-            if let Ok(found) = net::json::<Signals>("GET", &url, None, "").await {
+            if let Ok(found) = recorded(&first).await {
                 known.try_set(found.signals);
             }
         });
     }
     let ids = StoredValue::new(ids);
+    // What was asked for last: an answer to anything before comes too late.
+    let asked = StoredValue::new(String::new());
     let compare = move |name: String| {
-        said.set(None);
-        if name.trim().is_empty() {
+        let name = name.trim().to_owned();
+        asked.set_value(name.clone());
+        if name.is_empty() {
             said.set(thinned(each));
             what.set(None);
             return;
         }
-        let Some(signal) = known.with_untracked(|all| all.iter().find(|signal| signal.name == name.trim()).cloned())
-        else {
-            said.set(Some(Err(format!("{name:?} is no signal of the first flight"))));
-            return;
-        };
         said.set(Some(Ok("reading…".into())));
         leptos::task::spawn_local(async move {
-            let mut each = 1;
-            for (i, id) in ids.try_get_value().unwrap_or_default().iter().enumerate() {
-                let read = match begins_s(id).await {
-                    Ok(start_s) => Read::of(id, &signal.name, start_s).await,
-                    Err(failure) => Err(failure),
-                };
-                match read {
-                    Ok(read) => {
-                        each = each.max(read.each());
-                        lives.try_update_value(|lives| {
-                            if let Some(live) = lives.get_mut(i) {
-                                read.put(&mut live.curves, Curve::Signal(0));
-                            }
-                        });
-                    }
-                    Err(why) => return drop(said.try_set(Some(Err(format!("{id}: {}", why.text))))),
-                }
+            let ids = ids.try_get_value().unwrap_or_default();
+            let found = read_all(&ids, &name).await;
+            if asked.try_with_value(|last| *last != name).unwrap_or(true) {
+                return;
             }
-            said.try_set(thinned(each));
+            let (signal, reads) = match found {
+                Ok(found) => found,
+                Err(why) => return drop(said.try_set(Some(Err(why)))),
+            };
+            lives.try_update_value(|lives| {
+                for (live, read) in lives.iter_mut().zip(&reads) {
+                    read.put(&mut live.curves, Curve::Signal(0));
+                }
+            });
+            said.try_set(thinned(reads.iter().map(Read::each).fold(1, u64::max)));
             what.try_set(Some(signal));
         });
     };

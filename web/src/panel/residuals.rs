@@ -19,7 +19,7 @@ use crate::{
 
 /// Ratio at which a residual is worth a look.
 const NOTICE: f64 = 0.5;
-/// Ratio at which it is close to rejection.
+/// Ratio at which it is close to its gate.
 const WARN: f64 = 0.8;
 
 fn level(ratio: Option<f64>) -> &'static str {
@@ -109,7 +109,7 @@ fn Residuals() -> impl IntoView {
                     <ul class="legend heat-key" aria-label="Colours">
                         <li><span class="heat raised"></span>"0.5"</li>
                         <li><span class="heat high"></span>"0.8"</li>
-                        <li><span class="heat rejected"></span>"1: rejected"</li>
+                        <li><span class="heat rejected"></span>"1: gate"</li>
                     </ul>
                 </Show>
                 <span class="push buttons-row"><EvidenceSwitch /></span>
@@ -183,7 +183,7 @@ fn Rows(estimator: Memo<u16>) -> impl IntoView {
             <Plot
                 picture=Picture::Heatmap
                 values=false
-                label="Innovation ratio of each sensor over time; above 1 the measurement was rejected"
+                label="Innovation ratio of each sensor over time; 1 is its gate"
             />
             <Show when=move || rows.get().is_empty()>
                 <p class="empty">
@@ -248,7 +248,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_change_at_half_at_four_fifths_and_at_rejection() {
+    fn colours_change_at_half_at_four_fifths_and_at_the_gate() {
         let levels = [None, Some(0.5), Some(0.51), Some(0.81), Some(1.0), Some(1.01)].map(level);
         assert_eq!(levels, ["none", "calm", "raised", "high", "high", "rejected"]);
     }
