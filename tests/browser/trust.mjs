@@ -146,6 +146,34 @@ await step(page, 'three presses are three steps, from the last target and on the
   await reads(0.9);
 });
 
+const LATE_MS = 700;
+/** Presses keys and whatever `more` does while the first setpoint is held up on its way, as a busy browser does; what was sent. */
+const heldUp = async (keys, settle, more = async () => {}) => {
+  const sent = [];
+  const orders = /\/vehicles\/iris-1\/(setpoint|cut)$/;
+  await page.route(orders, async (route) => {
+    sent.push(orders.exec(route.request().url())[1]);
+    if (sent.length > 1) return route.continue();
+    await page.waitForTimeout(LATE_MS);
+    return settle(route);
+  });
+  await page.getByRole('heading', { name: 'Residuals' }).click();
+  for (const key of keys) await page.keyboard.press(key);
+  await more();
+  await page.waitForTimeout(LATE_MS + 500);
+  await page.unroute(orders);
+  return sent;
+};
+
+await step(page, 'what is asked later comes later, however long the browser holds up the first', async () => {
+  const from = await setpoint();
+  const sent = await heldUp(['ArrowDown', 'ArrowDown'], (route) => route.continue());
+  await reads(from - 0.2);
+  assert(sent.length === 2, `sent: ${sent}`);
+  await button('Altitude up 0.1 m').click({ clickCount: 2 });
+  await reads(from);
+});
+
 await step(page, 'an estimator is chosen, then applied; arrow keys act once', async () => {
   const list = page.getByLabel('Estimator in the loop');
   const before = await setpoint();
@@ -326,7 +354,11 @@ await step(page, 'the simulator gives a new battery, and makes a cut vehicle rea
   await button('New battery').first().click();
   const charge = async () => Number(/(\d+) %/.exec(await bar.getByLabel('Battery').textContent())?.[1]);
   await until('a full battery', async () => (await charge()) >= 98);
-  await page.getByRole('button', { name: /CUT MOTORS/ }).click();
+  // What waits behind something else is not sent behind the cut.
+  const taken = { json: { command_id: 1, stage: 'accepted', reason: '' } };
+  const sent = await heldUp(['ArrowUp', 'ArrowUp'], (route) => route.fulfill(taken), () => page.getByRole('button', { name: /CUT MOTORS/ }).click());
+  assert(sent.join() === 'setpoint,cut', `sent: ${sent}`);
+  await page.getByText('not sent, what was asked after it comes first').first().waitFor();
   await until('cut', async () => /cut/i.test(await bar.getByLabel('Mode').textContent()));
   await holdUntil('disarmed', button('Reset (hold)'), async () => /disarmed/i.test(await bar.getByLabel('Mode').textContent()));
   await armed(page, 90_000);

@@ -23,6 +23,7 @@ use crate::{
         setpoint::{self, Target},
     },
     store,
+    turns::Turns,
 };
 
 /// Text is written this often, ms, beside curves.
@@ -106,6 +107,8 @@ pub struct Ctx {
     pub session: RwSignal<Session>,
     /// Altitude asked for and not yet reached: steps count from there.
     target: StoredValue<Option<Target>>,
+    /// Commands that are not answered yet.
+    turns: StoredValue<Turns, LocalStorage>,
     /// Of which vehicle so much past is wanted, s, once a page is open that shows it.
     past_wanted: RwSignal<Option<(String, f64)>>,
     operator: RwSignal<String>,
@@ -134,6 +137,7 @@ impl Ctx {
             prepared: RwSignal::new(None),
             hint: RwSignal::new(None),
             target: StoredValue::new(None),
+            turns: StoredValue::new_local(Turns::default()),
             session: RwSignal::new(Session::default()),
             past_wanted: RwSignal::new(None),
             operator: RwSignal::new(store::operator()),
@@ -371,10 +375,22 @@ impl Ctx {
         let id = String::from(js_sys::encode_uri_component(&vehicle));
         let url = format!("/api/v1/vehicles/{id}/{action}");
         let (operator, seen_us) = (self.operator.get_untracked(), self.seen_us());
-        let within_ms = (!api::counts_late(method, action, &body)).then_some(net::COMMAND_MS);
+        let urgent = api::counts_late(method, action, &body);
+        let within_ms = (!urgent).then_some(net::COMMAND_MS);
         let asked_at = crate::keys::pointer();
+        let turn = api::in_order(action).then(|| self.turns.try_update_value(|turns| turns.take(urgent)));
         leptos::task::spawn_local(async move {
-            let answer = net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await;
+            let mut turn = turn.flatten();
+            if let Some(turn) = &mut turn {
+                turn.comes().await;
+            }
+            let overtaken = turn.as_ref().is_some_and(|turn| self.turns.with_value(|turns| turns.overtook(turn)));
+            let answer = if overtaken {
+                Err(Failure { status: 0, text: "not sent, what was asked after it comes first".to_owned() })
+            } else {
+                net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await
+            };
+            drop(turn);
             if let Err(failure) = &answer {
                 self.say_at(asked_at, failure.text.clone(), true);
             }

@@ -25,6 +25,7 @@ pub mod palette;
 pub mod panel;
 mod store;
 pub mod tones;
+pub mod turns;
 
 use leptos::{html, prelude::*};
 use wasm_bindgen::prelude::wasm_bindgen;

@@ -60,6 +60,15 @@ pub fn counts_late(method: &str, action: &str, body: &Value) -> bool {
     }
 }
 
+/// Does it matter to the vehicle whether this command or another comes first? Gains, calibrations and whatever else takes long to answer
+/// are not waited for.
+pub fn in_order(action: &str) -> bool {
+    matches!(
+        action,
+        "arm" | "disarm" | "cut" | "release-cut" | "mode" | "setpoint" | "trajectory" | "estimator" | "attacks"
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use plumbline_proto::v1::Mode;
