@@ -3,6 +3,8 @@
 //! Samples never become signals. [`Ctx::tick`] beats (`TICK_MS`) and text is read again then;
 //! curves are drawn by `paint.rs` on animation frames from the same state.
 
+use std::cell::Cell;
+use std::rc::Rc;
 use std::time::Duration;
 
 use leptos::prelude::*;
@@ -23,7 +25,7 @@ use crate::{
         setpoint::{self, Target},
     },
     store,
-    turns::Turns,
+    turns::{self, Turns},
 };
 
 /// Text is written this often, ms, beside curves.
@@ -378,19 +380,23 @@ impl Ctx {
         let urgent = api::counts_late(method, action, &body);
         let within_ms = (!urgent).then_some(net::COMMAND_MS);
         let asked_at = crate::keys::pointer();
-        let turn = api::in_order(action).then(|| self.turns.try_update_value(|turns| turns.take(urgent)));
+        let turn = api::in_order(action).then(|| self.turns.try_update_value(|turns| turns.take(urgent))).flatten();
+        let (turn, kept) = turn.unzip();
+        let kept = Rc::new(Cell::new(kept));
+        let over = Rc::clone(&kept);
+        set_timeout(move || drop(over.take()), turns::LONGEST);
         leptos::task::spawn_local(async move {
-            let mut turn = turn.flatten();
-            if let Some(turn) = &mut turn {
+            let mut overtaken = false;
+            if let Some(mut turn) = turn {
                 turn.comes().await;
+                overtaken = self.turns.with_value(|turns| turns.overtook(&turn));
             }
-            let overtaken = turn.as_ref().is_some_and(|turn| self.turns.with_value(|turns| turns.overtook(turn)));
             let answer = if overtaken {
                 Err(Failure { status: 0, text: "not sent, what was asked after it comes first".to_owned() })
             } else {
                 net::command(method, &url, body.to_string(), &operator, seen_us, within_ms).await
             };
-            drop(turn);
+            drop(kept.take());
             if let Err(failure) = &answer {
                 self.say_at(asked_at, failure.text.clone(), true);
             }

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
+use crate::ports::Ports;
 use crate::wires::unless_late;
 use crate::{Agent, pymavlink, udp_port};
 
@@ -120,6 +121,16 @@ pub fn in_time(test: impl Fn()) {
     unless_late("the double", watch, test);
 }
 
+/// The same where it flies through a pseudo terminal, which the kernel may serve later still ([`crate::wires::in_time`]).
+pub fn in_time_through_a_terminal(test: impl Fn()) {
+    let watch = || {
+        LATE.set(Duration::ZERO);
+        let ports = Ports::watch().unwrap();
+        move || ports.worst().max(LATE.get())
+    };
+    unless_late("the double, or a port beside its own,", watch, test);
+}
+
 pub fn fly(double: &Double) -> Agent {
     fly_on(&format!("udp:127.0.0.1:{}", double.port), "", "", SCENARIO)
 }
@@ -143,7 +154,7 @@ pub fn course(seen: &Value) -> Vec<(f64, f64, bool, bool)> {
 }
 
 /// Held 0.6 m and 1 m, as the script asks, and then stood on the floor.
-pub fn holds_and_lands(seen: &Value) {
+pub fn holds_and_lands(seen: &Value, agent: &Agent) {
     let course = course(seen);
     // The seconds before the second setpoint and before the landing, by the double's own clock.
     let armed_s = course.iter().find(|row| row.2).expect("it armed").0;
@@ -151,7 +162,7 @@ pub fn holds_and_lands(seen: &Value) {
         let held = course.iter().filter(|row| (armed_s + from_s..armed_s + from_s + 3.0).contains(&row.0));
         let off = held.map(|row| (row.1 - altitude_m).abs()).fold(0.0, f64::max);
         println!("holds {altitude_m} m within {off:.3} m behind the autopilot");
-        assert!(off < HOLDING_M, "{altitude_m} m: {off} m off\n{seen}");
+        assert!(off < HOLDING_M, "{altitude_m} m: {off} m off\n{}\n{seen}", agent.said());
     }
     assert!(course.last().unwrap().1 < 0.05, "on the floor\n{seen}");
 }

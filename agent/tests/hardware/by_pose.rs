@@ -7,7 +7,7 @@ use plumbline_proto::v1;
 use serde_json::Value;
 
 use crate::Agent;
-use crate::autopilot::{SCENARIO, course, double, fly_on, holds_and_lands, in_time, seen};
+use crate::autopilot::{SCENARIO, course, double, fly_on, holds_and_lands, in_time, in_time_through_a_terminal, seen};
 
 /// Estimate, place and velocity that ODOMETRY says are off by at most this: one-centimetre steps of a height, a millimetre of
 /// motion capture, 20 ms between two.
@@ -52,7 +52,7 @@ fn the_autopilot_flies_altitude_steps_on_our_estimate() {
             "{odometry}"
         );
         assert!(number("attitude_error_max_rad") < ODOMETRY_RAD && number("age_max_s") < 0.1, "{odometry}");
-        holds_and_lands(&seen);
+        holds_and_lands(&seen, &agent);
         assert!(
             seen["armed"] == false
                 && seen["place"].as_array().unwrap()[..2].iter().all(|c| c.as_f64().unwrap().abs() < 0.1),
@@ -115,7 +115,7 @@ fn an_estimate_that_is_lost_ends_offboard_mode_and_the_autopilot_lands() {
 
 #[test]
 fn over_a_serial_port_that_breaks_frames_and_signs() {
-    in_time(|| {
+    in_time_through_a_terminal(|| {
         let folder = tempfile::tempdir().unwrap();
         let (terminal, key) = (folder.path().join("tty"), folder.path().join("key"));
         let digits: String = (0..32).map(|byte| format!("{byte:02x}")).collect();
@@ -137,7 +137,7 @@ fn over_a_serial_port_that_breaks_frames_and_signs() {
             (&0.into(), &0.into(), &0.into())
         );
         assert!(seen["signing"]["good"].as_u64().unwrap() > 1000, "{seen}");
-        holds_and_lands(&seen);
+        holds_and_lands(&seen, &agent);
         // Garbage between frames costs itself, and is counted.
         let states: Vec<v1::DeviceState> = agent.recorded("/device/2");
         let state = states.last().unwrap();

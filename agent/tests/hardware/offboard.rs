@@ -24,7 +24,7 @@ fn altitude_steps_in_offboard_mode() {
         );
         assert!(seen["rate_hz"].as_f64().unwrap() > 50.0 && seen["timesync_ms"].is_number(), "{seen}");
         assert!(seen["heartbeats"].as_u64().unwrap() > 20 && seen["armed"] == false, "{seen}");
-        holds_and_lands(&seen);
+        holds_and_lands(&seen, &agent);
         // What was asked for and what it said that it does, beside each other.
         let flown: Vec<v1::Control> = agent.recorded("/control");
         let flying = flown.iter().filter(|control| control.thrust_n > 10.0);
