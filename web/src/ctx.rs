@@ -383,8 +383,10 @@ impl Ctx {
         let turn = api::in_order(action).then(|| self.turns.try_update_value(|turns| turns.take(urgent))).flatten();
         let (turn, kept) = turn.unzip();
         let kept = Rc::new(Cell::new(kept));
-        let over = Rc::clone(&kept);
-        set_timeout(move || drop(over.take()), turns::LONGEST);
+        if turn.is_some() {
+            let over = Rc::clone(&kept);
+            set_timeout(move || drop(over.take()), turns::LONGEST);
+        }
         leptos::task::spawn_local(async move {
             let mut overtaken = false;
             if let Some(mut turn) = turn {

@@ -36,9 +36,9 @@ impl Turns {
         (Turn { before, urgent: self.urgent }, Kept(sender))
     }
 
-    /// Has something urgent been asked since? Then what waited is not what is wanted any more.
+    /// Has something urgent been asked since, by whoever waited for somebody? Then that is not what is wanted any more.
     pub fn overtook(&self, turn: &Turn) -> bool {
-        turn.urgent != self.urgent
+        turn.before.is_some() && turn.urgent != self.urgent
     }
 }
 
@@ -81,9 +81,11 @@ mod tests {
         let ((_, _first), (second, _second)) = (turns.take(false), turns.take(false));
         let (mut urgent, _kept) = turns.take(true);
         assert!(!waits(&mut urgent));
-        assert!(turns.overtook(&second) && !turns.overtook(&urgent));
+        assert!(turns.overtook(&second));
         let (mut after, _) = turns.take(false);
         assert!(!turns.overtook(&after));
         assert!(waits(&mut after), "it came before what was urgent");
+        let _cut = turns.take(true);
+        assert!(turns.overtook(&after) && !turns.overtook(&urgent), "to land is sent, too, when a cut follows");
     }
 }

@@ -12,8 +12,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::ports::Ports;
-use crate::wires::unless_late;
+use crate::wires::{self, unless_late};
 use crate::{Agent, pymavlink, udp_port};
 
 pub const SCENARIO: &str = r#"
@@ -121,14 +120,9 @@ pub fn in_time(test: impl Fn()) {
     unless_late("the double", watch, test);
 }
 
-/// The same where it flies through a pseudo terminal, which the kernel may serve later still ([`crate::wires::in_time`]).
+/// The same where it flies through a pseudo terminal, which may be served later still.
 pub fn in_time_through_a_terminal(test: impl Fn()) {
-    let watch = || {
-        LATE.set(Duration::ZERO);
-        let ports = Ports::watch().unwrap();
-        move || ports.worst().max(LATE.get())
-    };
-    unless_late("the double, or a port beside its own,", watch, test);
+    wires::in_time(|| in_time(&test));
 }
 
 pub fn fly(double: &Double) -> Agent {
