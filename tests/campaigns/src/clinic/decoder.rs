@@ -11,8 +11,8 @@ use plumbline_tests::report::{Plot, Report, Series};
 use super::Effort;
 use plumbline_experiment::draw::{Dice, median, parallel, worst};
 
-const PERIOD_S: f64 = 0.05;
-const SLOTS: usize = 10;
+pub const PERIOD_S: f64 = 0.05;
+pub const SLOTS: usize = 10;
 /// Height sensors of Figures 11 and 12.
 const MANY: usize = 50;
 /// Heights of the small case that is decoded by trying every set, and how many are left out.
@@ -34,30 +34,30 @@ enum Attack {
     Colluding,
 }
 
-struct Flight {
-    observed: Observed,
-    a: SMatrix<f64, STATES, STATES>,
+pub struct Flight {
+    pub observed: Observed,
+    pub a: SMatrix<f64, STATES, STATES>,
     b: SMatrix<f64, STATES, 4>,
-    x: SVector<f64, STATES>,
+    pub x: SVector<f64, STATES>,
     /// Thrust really given for the thrust that is known.
     thrust_factor: f64,
 }
 
 impl Flight {
-    fn new(heights: usize, thrust_factor: f64) -> Self {
+    pub fn new(heights: usize, thrust_factor: f64) -> Self {
         let airframe = Airframe::clinic();
         let observed = Observed::clinic(heights, &airframe, &Trim::hover(&airframe));
         let (a, b) = observed.sampled(PERIOD_S).unwrap();
         Self { observed, a, b, x: SVector::zeros(), thrust_factor }
     }
 
-    fn window(&self, slots: usize) -> Window<STATES> {
+    pub fn window(&self, slots: usize) -> Window<STATES> {
         let q = SMatrix::from_diagonal(&SVector::repeat(1e-8));
         self.observed.window(slots, PERIOD_S, q, Settings::default()).unwrap()
     }
 
     /// One step towards 1 m; the forced response that the estimator knows.
-    fn step(&mut self) -> SVector<f64, STATES> {
+    pub fn step(&mut self) -> SVector<f64, STATES> {
         let mut u = SVector::<f64, 4>::zeros();
         u[0] = CLIMB.0 * (1.0 - self.x[0]) - CLIMB.1 * self.x[3];
         let known = self.b * u;
