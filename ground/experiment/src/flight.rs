@@ -64,6 +64,22 @@ pub struct Setup {
     pub comes_down: bool,
 }
 
+impl Setup {
+    /// A simulated flight in which nothing is attacked; its error counts from `judged_from_s` on, s.
+    pub fn simulated(scenario: Scenario, config: FlightConfig, judged_from_s: f64) -> Self {
+        Self {
+            scenario,
+            recording: None,
+            config,
+            reception: Reception::All,
+            attacks: Vec::new(),
+            sequences: Vec::new(),
+            judged_from_s,
+            comes_down: false,
+        }
+    }
+}
+
 /// The sensors of a scenario, TOML as it stands in a flight.
 ///
 /// # Errors

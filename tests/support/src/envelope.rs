@@ -18,7 +18,6 @@ use plumbline_agent::sim::Scenario;
 use plumbline_agent::sim::script::Step;
 use plumbline_agent::types::EstimatorKind;
 use plumbline_experiment::flight::{Setup, fly_watched};
-use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 use plumbline_rest::envelope::{EnvelopeQuestion, PreparedAttack, Swing};
@@ -277,14 +276,9 @@ fn fly_scripted(
     (config.estimators, config.in_loop) = (vec![EstimatorKind::Lanes], EstimatorKind::Lanes);
     config.watermark = watermark;
     let setup = Setup {
-        scenario,
-        recording: None,
-        config,
-        reception: Reception::All,
         attacks: worn.attacks.clone(),
         sequences: worn.sequences.clone(),
-        judged_from_s: ONSET_S,
-        comes_down: false,
+        ..Setup::simulated(scenario, config, ONSET_S)
     };
     let (mut tick, mut flown) = (0, Flown::default());
     let before = (ONSET_S * TICK_RATE_HZ) as usize;

@@ -8,7 +8,6 @@ use plumbline_agent::sim::scenario::BrokenRotor;
 use plumbline_agent::types::{EstimatorKind, Mode, ROTORS};
 use plumbline_experiment::draw::Dice;
 use plumbline_experiment::flight::{Setup, fly_watched};
-use plumbline_experiment::reception::Reception;
 use plumbline_proto::ids::SensorId;
 use plumbline_proto::v1::SensorKind;
 
@@ -134,16 +133,7 @@ pub fn fly(rig: &str, world: &str, seed: u64, loss: Option<(How, f64)>) -> Flown
     let onset_s = if loss.is_some() { onset_s } else { f64::INFINITY };
     let ends = loss.is_some_and(|(how, loss)| !matches!(how, How::Told(_)) && loss >= ENDS);
     scenario.duration_s = scenario.duration_s.min(onset_s + if ends { DOWN_S } else { AFTER_S });
-    let setup = Setup {
-        scenario,
-        recording: None,
-        config,
-        reception: Reception::All,
-        attacks,
-        sequences: Vec::new(),
-        judged_from_s: onset_s.min(5.0),
-        comes_down: ends,
-    };
+    let setup = Setup { attacks, comes_down: ends, ..Setup::simulated(scenario, config, onset_s.min(5.0)) };
     let mut flown = Flown { onset_s, rotor, bounded: true, ..Flown::default() };
     let (mut before, mut altitude_m) = ([false; ROTORS], None);
     let outcome = fly_watched(&setup, |flight, truth| {

@@ -183,15 +183,7 @@ impl Pilot {
             Self::Shipped(_) => Reception::All,
             Self::Behind(reception) => reception,
         };
-        Setup {
-            scenario: scenario.clone(),
-            recording: None,
-            config,
-            reception,
-            attacks: attacks.to_vec(),
-            sequences: Vec::new(),
-            judged_from_s,
-            comes_down: false,
-        }
+        let simulated = Setup::simulated(scenario.clone(), config, judged_from_s);
+        Setup { reception, attacks: attacks.to_vec(), ..simulated }
     }
 }

@@ -210,14 +210,9 @@ pub fn fly(plan: &Plan) -> Outcome {
     config.in_loop = kind;
     plan.pilot.assume(&mut config.sensor_model);
     let setup = Setup {
-        scenario,
-        recording: None,
-        config,
         reception: if plan.pilot == Pilot::Oracle { Reception::Oracle } else { Reception::All },
         attacks: plan.attacks(),
-        sequences: Vec::new(),
-        judged_from_s: JUDGED_FROM_S,
-        comes_down: false,
+        ..Setup::simulated(scenario, config, JUDGED_FROM_S)
     };
     let mut outcome = Outcome::default();
     let (mut square, mut estimate_square, mut count) = (0.0, 0.0, 0.0);

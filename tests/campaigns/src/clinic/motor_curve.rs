@@ -73,46 +73,34 @@ fn readings(world: &str, seed: u64, charge: f64) -> Vec<Reading> {
     PULSES_US.map(&mut reading).to_vec()
 }
 
-/// [Clinic]'s line: revolutions a minute over the pulse width, whatever the voltage.
-#[derive(Clone, Copy)]
-pub struct Line {
-    slope_rpm_per_us: f64,
-    /// At 1000 µs.
-    offset_rpm: f64,
+/// A line through the readings, and its residual.
+struct Fit {
+    curve: MotorCurve,
     residual_rpm: f64,
 }
 
-impl Line {
-    fn fitted(points: &[Reading]) -> Self {
-        let n = points.len() as f64;
-        let mean = |of: &dyn Fn(&Reading) -> f64| points.iter().map(of).sum::<f64>() / n;
-        let (pulse, speed) = (mean(&|p| p.pulse_us), mean(&|p| p.read_rpm));
-        let slope = mean(&|p| (p.pulse_us - pulse) * (p.read_rpm - speed)) / mean(&|p| (p.pulse_us - pulse).powi(2));
-        let at = |pulse_us: f64| speed + slope * (pulse_us - pulse);
-        let residual_rpm = mean(&|p| (p.read_rpm - at(p.pulse_us)).powi(2)).sqrt();
-        Self { slope_rpm_per_us: slope, offset_rpm: at(IDLE_US), residual_rpm }
+impl Fit {
+    /// As `calibrate motor-curve` fits it, to speeds brought to nominal voltage by the `voltage_ratio` that is known.
+    fn to(points: &[Reading], voltage_ratio: fn(&Reading) -> f64) -> Self {
+        let at_nominal =
+            |p: &Reading| (command(p.pulse_us), p.read_rpm * std::f64::consts::TAU / 60.0 / voltage_ratio(p));
+        let file = motor_curve(&points.iter().map(at_nominal).collect::<Vec<_>>()).unwrap();
+        Self { curve: motor_curve_of(&file).unwrap(), residual_rpm: rpm(file.residual.value) }
     }
 
-    /// On the bench of a vehicle, by the readings of [`readings`].
-    pub fn measured(world: &str, seed: u64) -> Self {
-        Self::fitted(&readings(world, seed, BENCH))
+    /// [Clinic]'s line: whatever the voltage.
+    fn line(points: &[Reading]) -> Self {
+        Self::to(points, |_| 1.0)
     }
 
-    fn rpm(&self, pulse_us: f64) -> f64 {
-        self.offset_rpm + self.slope_rpm_per_us * (pulse_us - IDLE_US)
-    }
-
-    /// Rotor speed for a motor command of 0 to 1, rad/s.
-    pub fn speed_radps(&self, command: f64) -> f64 {
-        self.rpm(IDLE_US + SPAN_US * command) * std::f64::consts::TAU / 60.0
+    fn rpm(&self, pulse_us: f64, voltage_ratio: f64) -> f64 {
+        rpm(self.curve.speed_radps(command(pulse_us), voltage_ratio))
     }
 }
 
-/// The line of `calibrate motor-curve`, and its residual.
-fn calibrated(points: &[Reading]) -> (MotorCurve, f64) {
-    let at_nominal = |p: &Reading| (command(p.pulse_us), p.read_rpm * std::f64::consts::TAU / 60.0 / p.voltage_ratio);
-    let file = motor_curve(&points.iter().map(at_nominal).collect::<Vec<_>>()).unwrap();
-    (motor_curve_of(&file).unwrap(), rpm(file.residual.value))
+/// [Clinic]'s line of a vehicle on the bench.
+pub fn line_measured(world: &str, seed: u64) -> MotorCurve {
+    Fit::line(&readings(world, seed, BENCH)).curve
 }
 
 /// Errors of thrust (speed squared) at `points`, of the thrust there: the largest, and that near hovering.
@@ -125,9 +113,8 @@ fn thrust_errors(points: &[Reading], speed_rpm: impl Fn(&Reading) -> f64) -> [f6
 /// One vehicle on the bench and with its battery run down.
 struct Bench {
     points: Vec<Reading>,
-    line: Line,
-    curve: MotorCurve,
-    curve_residual_rpm: f64,
+    line: Fit,
+    calibrated: Fit,
     /// Errors of thrust by the line, and by the curve with the voltage: on the bench and with a battery run down, each as
     /// [`thrust_errors`].
     by_line: [[f64; 2]; 2],
@@ -137,12 +124,11 @@ struct Bench {
 impl Bench {
     fn of(world: &str, seed: u64) -> Self {
         let [points, late] = [BENCH, LATE].map(|charge| readings(world, seed, charge));
-        let line = Line::fitted(&points);
-        let (curve, curve_residual_rpm) = calibrated(&points);
-        let by_line = [&points, &late].map(|points| thrust_errors(points, |p| line.rpm(p.pulse_us)));
-        let told = |p: &Reading| rpm(curve.speed_radps(command(p.pulse_us), p.voltage_ratio));
+        let (line, calibrated) = (Fit::line(&points), Fit::to(&points, |p| p.voltage_ratio));
+        let by_line = [&points, &late].map(|points| thrust_errors(points, |p| line.rpm(p.pulse_us, 1.0)));
+        let told = |p: &Reading| calibrated.rpm(p.pulse_us, p.voltage_ratio);
         let by_curve = [&points, &late].map(|points| thrust_errors(points, told));
-        Self { points, line, curve, curve_residual_rpm, by_line, by_curve }
+        Self { points, line, calibrated, by_line, by_curve }
     }
 }
 
@@ -156,14 +142,14 @@ pub fn run(report: &mut Report, effort: &Effort) {
         let more = json!({ "worst": worst(&values), "airframe": nominal, "vehicles": values.len() });
         report.value(&format!("figure_27/{name}"), median(&values), unit, more);
     };
-    told("line/slope", "rpm/µs", None, &|b| b.line.slope_rpm_per_us);
-    told("line/offset_at_1000_us", "rpm", None, &|b| b.line.offset_rpm);
-    told("line/residual", "rpm rms", None, &|b| b.line.residual_rpm);
     let slope = |radps: f64| rpm(radps) / SPAN_US;
-    told("calibrate/slope", "rpm/µs", Some(slope(airframe.slope_radps)), &|b| slope(b.curve.slope_radps));
+    told("line/slope", "rpm/µs", None, &|b| slope(b.line.curve.slope_radps));
+    told("line/offset_at_1000_us", "rpm", None, &|b| rpm(b.line.curve.offset_radps));
+    told("line/residual", "rpm rms", None, &|b| b.line.residual_rpm);
+    told("calibrate/slope", "rpm/µs", Some(slope(airframe.slope_radps)), &|b| slope(b.calibrated.curve.slope_radps));
     let offset = Some(rpm(airframe.offset_radps));
-    told("calibrate/offset_at_1000_us", "rpm", offset, &|b| rpm(b.curve.offset_radps));
-    told("calibrate/residual", "rpm rms", None, &|b| b.curve_residual_rpm);
+    told("calibrate/offset_at_1000_us", "rpm", offset, &|b| rpm(b.calibrated.curve.offset_radps));
+    told("calibrate/residual", "rpm rms", None, &|b| b.calibrated.residual_rpm);
     for (when, name) in ["battery_nearly_full", "battery_run_down"].into_iter().enumerate() {
         for (place, name) in [format!("{name}/largest"), format!("{name}/near_hovering")].into_iter().enumerate() {
             told(&format!("thrust_error/line/{name}"), "%", None, &|b| 100.0 * b.by_line[when][place]);
@@ -175,10 +161,11 @@ pub fn run(report: &mut Report, effort: &Effort) {
 
 fn picture(report: &mut Report, bench: &Bench) {
     let ends = [IDLE_US, IDLE_US + SPAN_US];
-    let nominal = |pulse_us: f64| rpm(bench.curve.offset_radps + bench.curve.slope_radps * command(pulse_us));
+    let drawn =
+        |fit: &Fit| ends.map(|us| (us, rpm(fit.curve.offset_radps + fit.curve.slope_radps * command(us)))).to_vec();
     let plot = Plot::new("Rotor speed by pulse width", "pulse width, µs", "speed, rpm")
         .with(Series::points("tachometer", bench.points.iter().map(|p| (p.pulse_us, p.read_rpm)).collect()))
-        .with(Series::line("line", ends.map(|us| (us, bench.line.rpm(us))).to_vec()))
-        .with(Series::dashed("calibrate, at nominal voltage", ends.map(|us| (us, nominal(us))).to_vec()));
+        .with(Series::line("line", drawn(&bench.line)))
+        .with(Series::dashed("calibrate, at nominal voltage", drawn(&bench.calibrated)));
     report.figure("figure_27", "Figure 27: eight pulse widths, one vehicle, battery nearly full.", &plot).unwrap();
 }

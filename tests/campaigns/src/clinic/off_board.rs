@@ -21,6 +21,7 @@ use plumbline_agent::estimate::secure::newton::Settings;
 use plumbline_agent::estimate::secure::window::{Model, Row, Window};
 use plumbline_agent::flight::{Flight, RigKind};
 use plumbline_agent::model::airframe::Airframe;
+use plumbline_agent::model::motor_curve::MotorCurve;
 use plumbline_agent::sensor::height::Height;
 use plumbline_agent::sensor::imu::Imu;
 use plumbline_agent::sensor::suite::{Sheet as _, Suite};
@@ -30,12 +31,11 @@ use plumbline_agent::types::{EstimatorKind, GRAVITY_MPS2, MotorCommand};
 use plumbline_agent::vehicle::Truth;
 use plumbline_experiment::draw::{median, parallel, worst};
 use plumbline_experiment::flight::{Setup, fly_to_the_end};
-use plumbline_experiment::reception::Reception;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
 
 use super::Effort;
-use super::motor_curve::Line;
+use super::motor_curve::line_measured;
 
 const LASERS: usize = 2;
 const IMUS: usize = 4;
@@ -198,16 +198,7 @@ fn flown(rig: &Rig, world: &str, seed: u64) -> Vec<Slot> {
     }
     config.estimators = vec![EstimatorKind::EkfBias, EstimatorKind::Secure, EstimatorKind::Lanes];
     config.in_loop = EstimatorKind::EkfBias;
-    let setup = Setup {
-        scenario,
-        recording: None,
-        config,
-        reception: Reception::All,
-        attacks: Vec::new(),
-        sequences: Vec::new(),
-        judged_from_s: JUDGED_FROM_S,
-        comes_down: false,
-    };
+    let setup = Setup::simulated(scenario, config, JUDGED_FROM_S);
     let mut recorder = Recorder::new();
     fly_to_the_end(&setup, |flight, truth| recorder.look(flight, truth)).unwrap();
     recorder.slots
@@ -217,7 +208,7 @@ fn flown(rig: &Rig, world: &str, seed: u64) -> Vec<Slot> {
 #[derive(Clone, Copy)]
 enum Speeds {
     /// By the line of Figure 27.
-    Line(Line),
+    Line(MotorCurve),
     /// By the airframe's own curve and the voltage, which `calibrate motor-curve` finds.
     Curve,
 }
@@ -243,7 +234,7 @@ impl Motion {
     /// What the motors of `slot` add in the next one.
     fn forced(&self, slot: &Slot) -> Vertical {
         let speed_radps = |throttle: f64| match self.speeds {
-            Speeds::Line(line) => line.speed_radps(throttle),
+            Speeds::Line(line) => line.speed_radps(throttle, 1.0),
             Speeds::Curve => self.airframe.motor_curve.speed_radps(throttle, slot.voltage_ratio),
         };
         let squared: f64 = slot.command.throttle.iter().map(|throttle| speed_radps(*throttle).powi(2)).sum();
@@ -291,7 +282,7 @@ impl Decoded {
     fn of(rig: &Rig, effort: &Effort, n: usize) -> Self {
         let seed = effort.flown.seed_base + n as u64;
         let slots = flown(rig, &effort.flown.world, seed);
-        let motion = Motion::new(Speeds::Line(Line::measured(&effort.flown.world, seed)));
+        let motion = Motion::new(Speeds::Line(line_measured(&effort.flown.world, seed)));
         let [norms, absolute] = [Program::L2, Program::L1].map(|program| motion.decode(&slots, program));
         let with_voltage = Motion::new(Speeds::Curve).decode(&slots, Program::L2);
         Self { slots, norms, absolute, with_voltage }

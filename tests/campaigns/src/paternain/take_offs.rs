@@ -8,7 +8,6 @@ use plumbline_agent::flight::Failsafe;
 use plumbline_agent::sim::Scenario;
 use plumbline_agent::types::{ControllerKind, EstimatorKind};
 use plumbline_experiment::flight::{Setup, fly_watched};
-use plumbline_experiment::reception::Reception;
 use plumbline_support::effort::Effort;
 use plumbline_tests::report::{Plot, Report, Series};
 use serde_json::json;
@@ -93,16 +92,7 @@ altitude_m = 1.0
         (config.estimators, config.in_loop) = (vec![self.estimator], self.estimator);
         config.design = Design::new(self.controller, &scenario.airframe);
         (config.limits.lateral_max_m, config.limits.altitude_max_m) = (LATERAL_MAX_M, ALTITUDE_MAX_M);
-        let setup = Setup {
-            scenario,
-            recording: None,
-            config,
-            reception: Reception::All,
-            attacks: Vec::new(),
-            sequences: Vec::new(),
-            judged_from_s,
-            comes_down: false,
-        };
+        let setup = Setup::simulated(scenario, config, judged_from_s);
         let mut flown = Flown { curve: Vec::new(), before_m: f64::NAN, lost: None };
         let done = fly_watched(&setup, |flight, truth| {
             let t = truth.time.as_seconds() - ASKED_S;
