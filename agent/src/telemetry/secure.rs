@@ -113,6 +113,8 @@ pub(super) fn fill(
     let shaken = judge.shaken();
     into.accel_noise_mps2 = shaken.map(|shaken| shaken.noise_mps2);
     into.accel_rectified_mps2 = shaken.map(|shaken| shaken.rectified_mps2);
+    let delays = judge.delays();
+    (into.height_delay_s, into.pose_delay_s) = (delays.heights_s, delays.pose_s);
     // What only the decoder of a window has.
     let secure = judge.secure();
     into.disturbance_enu_n = secure.map(|secure| {

@@ -197,3 +197,27 @@ fn without_a_field_gnss_tells_the_yaw_and_does_not_bend_the_tilt() {
         assert!(away_m < 2.0 && high_m < 0.08, "{world}, seed {seed}: {away_m:.2} m away, {high_m:.3} m in altitude");
     }
 }
+
+/// GIVEN the data sheets' world, whose lasers are stamped at the first step of a scan, 33 ms before it sees the floor, and whose motion
+/// capture is stamped when it was taken, WHEN the vehicle goes up and down for a minute THEN it has learned both to 20 ms: three sigmas of
+/// twelve steps.
+#[test]
+fn going_up_and_down_tells_by_how_much_stamps_are_late() {
+    for seed in 1..=3 {
+        let mut f = Flown::new(&format!(
+            "name = \"delays\"\nseed = {seed}\nworld = \"datasheet\"\n[rig.free]\nheight_m = 0.0\n[suite]\npreset = \"string_rig\"\nadd = [\"mocap_pose\"]\n"
+        ));
+        f.until(4.0);
+        f.command(Command::Arm);
+        f.command(Command::SetMode(Mode::Hold));
+        for step in 0..12 {
+            let altitude_m = Some(if step % 2 == 0 { 0.6 } else { 1.2 });
+            f.command(Command::Setpoint(SetpointChange { altitude_m, ..SetpointChange::default() }));
+            f.until(8.0 + 4.0 * f64::from(step));
+        }
+        let learned = f.flight.judge().map(|judge| judge.delays()).unwrap();
+        let [heights_ms, pose_ms] = [learned.heights_s, learned.pose_s].map(|late_s| 1e3 * late_s.unwrap());
+        println!("seed {seed}: heights {heights_ms:.1} ms, motion capture {pose_ms:.1} ms");
+        assert!((heights_ms + 33.0).abs() < 20.0 && pose_ms.abs() < 20.0, "seed {seed}: {heights_ms} and {pose_ms} ms");
+    }
+}

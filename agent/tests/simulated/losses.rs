@@ -111,6 +111,11 @@ fn an_emptying_battery_warns_then_lands_with_a_reserve() {
     let sinks = f.since(lands).map(|r| -r.truth.velocity_enu_mps.z).fold(0.0, f64::max);
     let left = f.vehicle.world().battery().charge();
     assert!(sinks < 0.6 && left > 0.05, "sinks at {sinks:.2} m/s, {:.0} % left\n{}", 100.0 * left, f.log());
+    let z_m: Vec<_> = f.since(lands).map(|r| r.truth.position_enu_m.z).collect();
+    let stands_m = f.last().truth.position_enu_m.z;
+    let down = z_m.iter().position(|z| *z < stands_m + 0.002).unwrap();
+    let hops_m = z_m[down..].iter().fold(0.0, |a: f64, z| a.max(z - stands_m));
+    assert!(hops_m < 0.005, "hops up to {hops_m:.3} m once down\n{}", f.log());
     assert_down(&f);
 }
 

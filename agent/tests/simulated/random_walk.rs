@@ -4,7 +4,6 @@
 //! more, from any seed.
 
 use plumbline_agent::flight::Failsafe;
-use plumbline_agent::types::EstimatorKind;
 use plumbline_support::walk::edge::{PAIRS, edge};
 use plumbline_support::walk::{PILOTS, Seen, walk};
 
@@ -27,8 +26,6 @@ const LEFT: [u64; 12] = [
     1_003_392, 2_000_096, 2_004_524, 2_002_628, 4_000_172, 6_007_936, 8_002_080, 8_008_334, 8_002_688, 9_004_076,
     12_009_312, 13_005_580,
 ];
-/// Missed: by the lanes, whose place nothing tells and whose stick is held against its stop for eight seconds: further than half a metre in altitude.
-const MISSED: (u64, EstimatorKind) = (14, EstimatorKind::Lanes);
 /// Flights of each mode on each rig.
 const FLIGHTS_EACH: usize = 5;
 
@@ -73,12 +70,8 @@ fn in_every_mode_and_on_every_rig_the_box_is_kept() {
     let (mut highest_m, mut farthest_m, mut flown_s, mut broken) = (f64::MIN, f64::MIN, 0.0, Vec::new());
     let each = (0..PAIRS * FLIGHTS_EACH).map(|n| (n, n as u64 + 1));
     let each = each.chain(LEFT.map(|seed| (seed as usize, seed)));
-    let mut missed = false;
     for (n, seed, pilot) in each.flat_map(|(n, seed)| PILOTS.map(|pilot| (n, seed, pilot))) {
         match edge(n, seed, pilot) {
-            Err(what) if (seed, pilot) == MISSED && what.contains("0.50 m beyond the limit of altitude") => {
-                missed = true
-            }
             Ok(((above_m, aside_m), seen)) => {
                 (highest_m, farthest_m) = (highest_m.max(above_m), farthest_m.max(aside_m));
                 flown_s += seen.flown_s;
@@ -87,7 +80,6 @@ fn in_every_mode_and_on_every_rig_the_box_is_kept() {
         }
     }
     println!("{highest_m:.2} m above, {farthest_m:.2} m aside of the limits, {flown_s:.0} s in the air");
-    assert!(missed, "{MISSED:?} is missed no more");
     let heads: Vec<_> = broken.iter().filter_map(|b| b.lines().next()).collect();
     assert!(broken.is_empty(), "{} of {}:\n{heads:#?}\n{}", broken.len(), PAIRS * FLIGHTS_EACH, broken[0]);
     assert!(highest_m > 0.0 && farthest_m > 0.0, "nothing came to the edge: {highest_m} m, {farthest_m} m");

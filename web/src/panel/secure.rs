@@ -151,6 +151,13 @@ fn margin_figure(m: &v1::SecureMargin) -> Figure {
     (format!("{} margin", names::sensor(kind(m.sensor))), what, class, "0 or less promises nothing for this type")
 }
 
+/// What was learned of stamps.
+fn delay_figure(of: &str, delay_s: f64) -> Figure {
+    let late = if delay_s < 0.0 { "early" } else { "late" };
+    let what = format!("{} ms {late}", format::fixed(1e3 * delay_s.abs(), 0));
+    (format!("{of} stamps"), what, "", "Learned from how the vehicle moves, and taken off")
+}
+
 /// How many more sensors of a type may be attacked before their majority no longer tells which: (text, class).
 fn margin(m: &v1::SecureMargin) -> (String, &'static str) {
     let name = names::sensor(kind(m.sensor));
@@ -184,6 +191,8 @@ fn figures(s: &v1::SecureStatus) -> Vec<Figure> {
         ),
     ];
     figures.extend(s.margins.iter().map(margin_figure));
+    let delays = [("height", s.height_delay_s), ("motion capture", s.pose_delay_s)];
+    figures.extend(delays.into_iter().filter_map(|(of, delay_s)| Some(delay_figure(of, delay_s?))));
     if s.window_slots > 0 {
         figures.extend(of_window(s));
     }
@@ -342,6 +351,18 @@ fn Sensors(deck: Deck, newest: Memo<Option<v1::SecureStatus>>) -> impl IntoView 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn stamps_are_told_once_they_are_learned() {
+        let named = |s: &v1::SecureStatus| {
+            let of = |(name, what, ..): Figure| name.ends_with("stamps").then(|| format!("{name} {what}"));
+            figures(s).into_iter().filter_map(of).collect::<Vec<_>>()
+        };
+        assert!(named(&v1::SecureStatus::default()).is_empty());
+        let learned =
+            v1::SecureStatus { height_delay_s: Some(-0.0312), pose_delay_s: Some(0.004), ..Default::default() };
+        assert_eq!(named(&learned), ["height stamps 31 ms early", "motion capture stamps 4 ms late"]);
+    }
 
     #[test]
     fn one_sentence_says_who_is_excluded_and_what_the_height_is_good_for() {

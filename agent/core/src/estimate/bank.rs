@@ -17,6 +17,7 @@ use super::filter::ekf_hybrid::EkfHybrid;
 use super::filter::innovations::Innovations;
 use super::filter::ukf::Ukf;
 use super::lanes::Lanes;
+use super::lanes::delays::Learned;
 use super::lanes::linear::Shaken;
 use super::secure::{Decoder, Secure, WindowReport};
 use super::twelve_state::TwelveStateEstimator;
@@ -140,6 +141,14 @@ impl<'a> Judge<'a> {
         match self {
             Self::Secure(_) => None,
             Self::Lanes(lanes) => Some(lanes.shaken()),
+        }
+    }
+
+    /// By how much it has learned that stamps are late; nothing where it does not learn that.
+    pub fn delays(self) -> Learned {
+        match self {
+            Self::Secure(_) => Learned::default(),
+            Self::Lanes(lanes) => lanes.delays(),
         }
     }
 

@@ -63,6 +63,7 @@ impl Lanes {
             }
             return;
         }
+        let slot = &self.delays.restamp(slot);
         let learning = f64::from(self.clock.flown) * SLOT_S < LEARNING_S;
         self.judges.noise.take(&slot.imus, learning);
         self.judges.vote.take(&slot.imus);
@@ -140,8 +141,10 @@ impl Lanes {
     fn compare_heights(&mut self, slot: &Slot) -> [f64; MAX_HEIGHTS] {
         let Kinematics { position_enu_m, velocity_enu_mps, world_from_body } = self.fused.at;
         let mut felt = self.common(&slot.imus);
+        let up = |felt: &Six| (world_from_body * part(felt, 0)).z - self.model.imus.gravity_mps2;
+        let by_imus_mps2 = up(&felt);
         felt[2] += self.fused.mixture.thrust * (slot.thrust_mps2 - felt[2]);
-        let up_mps2 = (world_from_body * part(&felt, 0)).z - self.model.imus.gravity_mps2;
+        let up_mps2 = up(&felt);
         let climb_mps = velocity_enu_mps.z + up_mps2 * SLOT_S;
         let z_m = position_enu_m.z + 0.5 * (velocity_enu_mps.z + climb_mps) * SLOT_S;
         let heights = &mut self.judges.heights;
@@ -153,7 +156,15 @@ impl Lanes {
                 *place = None;
             }
         }
-        heights.split.take(slot.end(), (z_m, climb_mps), (up_mps2, self.fused.mixture.thrust), &samples);
+        let by_thrust = self.fused.mixture.thrust;
+        heights.split.take(slot.end(), (z_m, climb_mps), (up_mps2, by_thrust), &samples);
+        // What stands on the floor, its motors idling or not, tells no delay.
+        let idles = self.clock.resting > 0 || !slot.standing && self.clock.unladen >= CARRIED_SLOTS;
+        if !idles {
+            let sound = std::array::from_fn(|i| samples[i].filter(|_| heights.weight(i) >= 1.0));
+            let pose = slot.pose.map(|pose| (pose.time, pose.position_enu_m.z));
+            self.delays.take(slot.end(), (by_imus_mps2, by_thrust), &sound, pose);
+        }
         let mut beyond_m = [0.0; MAX_HEIGHTS];
         for (i, (beyond_m, sample)) in beyond_m.iter_mut().zip(samples).enumerate() {
             let Some((time, height_m)) = sample else { continue };
@@ -210,10 +221,18 @@ impl Lanes {
         let common = self.common(&slot.imus);
         let shaken = super::median_six(slot.roughness.iter().flatten()).map(|s| if s.is_finite() { s } else { 0.0 });
         let rectified = noise::rectified(&shaken);
-        let squares = &mut self.fused.rectified_squares;
+        // Vibration goes on; a jolt, as when strings or the floor catch the vehicle, is over with its slot, and not of the thrust. Without a
+        // height nothing would correct what vibration that begins rectifies in that slot.
+        let (squares, before_mps2) = (&mut self.fused.rectified_squares, &mut self.fused.rectified_before_mps2);
+        let lasting_mps2 = match self.aided.heights.ever() {
+            true => rectified[2].min(before_mps2.max(squares.z.sqrt())),
+            false => rectified[2],
+        };
+        *before_mps2 = rectified[2];
         *squares += (part(&rectified.component_mul(&rectified), 0) - *squares) * USUAL_GAIN;
         let carried = self.clock.unladen < CARRIED_SLOTS;
-        let share = if carried { noise::share(rectified[2]) } else { 0.0 };
+        let beside_mps2 = self.thrust.beside_mps2(slot.thrust_mps2, felt_mps2.z);
+        let share = if carried { noise::share(lasting_mps2, beside_mps2) } else { 0.0 };
         self.fused.mixture = Mixture { thrust: share, ..self.fused.mixture.shaken(&shaken) };
         let mut scratch = Residuals::new();
         let mut heard = [None; LANES];

@@ -4,8 +4,9 @@
 //! of blinding it. All lanes are corrected by the same sensors and couplings (`rows.rs`), at a fusion horizon
 //! 100 ms back, once for each slot of 40 ms. Evidence from their predictions (`evidence.rs`) and a small majority vote
 //! (`vote.rs`) give their weights; the laser heights are judged as a group (`heights.rs`), and where they step against the
-//! accelerometers (`split.rs`). The estimate is the weighted mean of the lanes, brought from the horizon to now
-//! (`predictor.rs`), rate and attitude by the torques as commanded (`rates.rs`).
+//! accelerometers (`split.rs`). By how much stamps are late is learned from a vehicle that moves (`delays.rs`). The
+//! estimate is the weighted mean of the lanes, brought from the horizon to now (`predictor.rs`), rate and attitude by the
+//! torques as commanded (`rates.rs`).
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -23,6 +24,7 @@
 
 mod account;
 mod bound;
+pub mod delays;
 mod evidence;
 mod fusion;
 mod heights;
@@ -50,6 +52,7 @@ use plumbline_proto::ids::SensorId;
 use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
+use self::delays::{Delays, Learned};
 use self::evidence::Evidence;
 use self::heights::Heights;
 use self::integral::Six;
@@ -95,6 +98,7 @@ pub struct Lanes {
     model: SensorModel,
     thrust: Thrust,
     slots: Slots,
+    delays: Delays,
     /// Until the attitude is known.
     start: Option<Start>,
     lanes: PerLane<Lane>,
@@ -131,6 +135,8 @@ struct Fused {
     usual_rad: f64,
     /// What accelerometers usually rectify along each axis of the body, squared, m²/s⁴.
     rectified_squares: Vector3<f64>,
+    /// Along the thrust, in the slot before, m/s².
+    rectified_before_mps2: f64,
     /// Slots in a row in which lanes that weigh much contradict each other.
     contradicted: u32,
 }
@@ -171,6 +177,7 @@ impl Lanes {
         Self {
             thrust: Thrust::new(airframe, gravity_mps2),
             slots: Slots::new(),
+            delays: Delays::default(),
             start: Some(Start::new()),
             lanes: std::array::from_fn(|i| Lane::new(place[i], gravity_mps2)),
             judges: Judges {
@@ -187,6 +194,7 @@ impl Lanes {
                 announced: [false; LANES],
                 usual_rad: 0.0,
                 rectified_squares: Vector3::zeros(),
+                rectified_before_mps2: 0.0,
                 contradicted: 0,
             },
             predictor,
@@ -226,6 +234,11 @@ impl Lanes {
             SensorKind::Height if self.start.is_none() => self.judges.heights.weight(index),
             _ => 1.0,
         }
+    }
+
+    /// By how much stamps are late, as far as that has been learned.
+    pub fn delays(&self) -> Learned {
+        self.delays.learned()
     }
 
     /// What is measured of the accelerometers along z: the noise is the largest of the lanes in use.

@@ -50,10 +50,11 @@ pub(super) fn shaken_mps2(rectified_mps2: f64) -> f64 {
 }
 
 /// Part of the specific force along the thrust that is taken from the thrust as commanded, where accelerometers rectify `rectified_mps2` of
-/// it: the less they say, the more.
-pub(super) fn share(rectified_mps2: f64) -> f64 {
-    let squares = (rectified_mps2.powi(2), THRUST_SIGMA_MPS2.powi(2));
-    squares.0 / (squares.0 + squares.1)
+/// it, and tell `beside_mps2` beside that thrust: the less they say, the more. Beyond what either is off by something else holds the
+/// vehicle, a tether or strings, and counts as noise of the thrust.
+pub(super) fn share(rectified_mps2: f64, beside_mps2: f64) -> f64 {
+    let (rectified, thrust) = (rectified_mps2.powi(2), THRUST_SIGMA_MPS2.powi(2));
+    rectified / (rectified + thrust).max(beside_mps2.powi(2))
 }
 
 /// One-sigma of the specific force along the thrust, `share` of it as commanded and the rest of an accelerometer of `sigma`, m/s².
@@ -85,12 +86,12 @@ pub struct Shaken {
 impl Shaken {
     /// Part of the specific force along the thrust that is an accelerometer's; the rest is commanded.
     pub fn own(&self) -> f64 {
-        1.0 - share(self.rectified_mps2)
+        1.0 - share(self.rectified_mps2, 0.0)
     }
 
     /// What a lane takes the specific force for of which it measures `noise_mps2`, m/s².
     pub(super) fn taken(&self, noise_mps2: f64) -> f64 {
-        mixed(noise_mps2.max(FLOOR.0).hypot(self.rectified_mps2), share(self.rectified_mps2))
+        mixed(noise_mps2.max(FLOOR.0).hypot(self.rectified_mps2), share(self.rectified_mps2, 0.0))
     }
 }
 
@@ -168,6 +169,18 @@ impl Noise {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// GIVEN accelerometers that rectify WHEN they tell no more beside the thrust as commanded than both are off by THEN it stands in for
+    /// them; not where a tether pulls.
+    #[test]
+    fn the_thrust_as_commanded_stands_in_where_nothing_else_holds_the_vehicle() {
+        let [free, off, tethered, clipping] =
+            [(0.4, 0.0), (0.4, -0.8), (0.4, -6.0), (3.5, 3.0)].map(|(rectified, beside)| share(rectified, beside));
+        assert!(
+            (free - 0.2).abs() < 1e-9 && free == off && tethered < 0.005 && clipping > 0.9,
+            "{free} {off} {tethered}"
+        );
+    }
 
     #[test]
     fn vibration_widens_all_and_a_faulty_one_not_itself_alone() {

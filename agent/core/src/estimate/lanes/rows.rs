@@ -271,8 +271,8 @@ impl Correction<'_> {
 }
 
 impl Slot {
-    /// How long before the slot's end `time` was, s.
+    /// How long before the slot's end `time` was, s; less than nothing of what is known to be stamped too early.
     pub fn age_s(&self, time: FlightTime) -> f64 {
-        self.end().seconds_since(time).clamp(0.0, 0.5)
+        self.end().seconds_since(time).clamp(-0.1, 0.5)
     }
 }

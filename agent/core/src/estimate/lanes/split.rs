@@ -97,7 +97,7 @@ impl Split {
         let (z_m, climb_mps) = self.coast.map_or(predicted, |coast| (coast.z_m, coast.climb_mps));
         for (laser, sample) in self.lasers.iter_mut().zip(samples) {
             if let Some((time, height_m)) = *sample {
-                let off_m = height_m - (z_m - climb_mps * end.seconds_since(time).clamp(0.0, 0.5));
+                let off_m = height_m - (z_m - climb_mps * end.seconds_since(time).clamp(-0.1, 0.5));
                 laser.last = Some((time, off_m));
                 laser.samples = laser.samples.saturating_add(1);
                 laser.held &= off_m.abs() > BACK * GAP_M;

@@ -18,6 +18,8 @@ const FREE: f64 = 0.25;
 /// the vehicle aside. Time constant of its mean, s.
 const ASIDE: f64 = 3.0;
 const ASIDE_S: f64 = 8.0;
+/// Time constant of the mean of the specific force beside the thrust, s.
+const BESIDE_S: f64 = 0.2;
 /// By so much beyond drag a rig or a hand holds it, m/s².
 const HELD_MPS2: f64 = 1.0;
 /// Time constant with which the part is learned by which the thrust is not as commanded, s, and the largest.
@@ -35,13 +37,15 @@ pub struct Thrust {
     off: f64,
     /// Specific force in the rotors' plane, mean over [`ASIDE_S`] in flight, m/s².
     aside_mps2: Vector2<f64>,
+    /// Specific force along the thrust beside it, mean over [`BESIDE_S`] in flight, m/s².
+    beside_mps2: f64,
 }
 
 impl Thrust {
     /// Of motors that stand.
     pub fn new(airframe: &Airframe, gravity_mps2: f64) -> Self {
         let (airframe, rotors, aside_mps2) = (airframe.clone(), Rotors::default(), Vector2::zeros());
-        Self { airframe, rotors, voltage_ratio: 1.0, gravity_mps2, off: 0.0, aside_mps2 }
+        Self { airframe, rotors, voltage_ratio: 1.0, gravity_mps2, off: 0.0, aside_mps2, beside_mps2: 0.0 }
     }
 
     /// After a tick with `applied`: thrust over mass, m/s², and whether the motors are told to stand.
@@ -67,6 +71,15 @@ impl Thrust {
         if self.flies(thrust_mps2) {
             self.off = (self.off - share * corrected_mps / (LEARNED_S * thrust_mps2)).clamp(-OFF_MAX, OFF_MAX);
         }
+    }
+
+    /// After a slot with `thrust_mps2` and a specific force of `force_mps2` along it: what else held the vehicle lately, m/s².
+    pub fn beside_mps2(&mut self, thrust_mps2: f64, force_mps2: f64) -> f64 {
+        let beside_mps2 = if self.flies(thrust_mps2) { force_mps2 - thrust_mps2 } else { 0.0 };
+        if beside_mps2.is_finite() {
+            self.beside_mps2 += (beside_mps2 - self.beside_mps2) * (SLOT_S / BESIDE_S);
+        }
+        self.beside_mps2
     }
 
     /// Is so much thrust over mass meant to fly?
@@ -124,6 +137,21 @@ mod tests {
         };
         assert!((learned(1.0, 0.6) - 0.9).abs() < 0.01, "{}", learned(1.0, 0.6));
         assert_eq!([learned(0.0, 0.6), learned(1.0, 0.2)], [1.0, 1.0]);
+    }
+
+    /// GIVEN a tether that pulls by 5 m/s² THEN that is known within half a second, and forgotten as soon when it is slack or the vehicle
+    /// stands; one sample that is no number changes nothing.
+    #[test]
+    fn what_holds_the_vehicle_beside_its_thrust_is_known() {
+        let g = 9.81;
+        let mut thrust = Thrust::new(&Airframe::iris(), g);
+        let mut after = |thrust_mps2: f64, force_mps2: f64, slots: u32| {
+            (0..slots).map(|_| thrust.beside_mps2(thrust_mps2, force_mps2)).last().unwrap()
+        };
+        assert!((after(g + 5.0, g, 13) + 5.0).abs() < 0.4);
+        assert!((after(g, f64::NAN, 1) + 5.0).abs() < 0.4);
+        assert!(after(g, g, 13).abs() < 0.4);
+        assert!(after(0.0, g, 13).abs() < 0.1);
     }
 
     /// GIVEN a vehicle in the air WHEN strings hold it aside for long, or a hand hard, THEN drag explains nothing, until they let go; gusts, biases
