@@ -12,7 +12,6 @@
 //! moved in it; one at rest or hovering tells nothing. Each sensor is asked by itself. The delay of the heights, which are alike, is the
 //! median of theirs: one that is attacked does not move it beyond the others'.
 
-use arrayvec::ArrayVec;
 use nalgebra::SMatrix;
 use plumbline_proto::time::FlightTime;
 
@@ -71,9 +70,8 @@ impl Known {
         self.weighted / (self.information + PRIOR_S.powi(-2))
     }
 
-    /// The stretch is over, in which samples were taken for `applied_s` late.
-    fn end(&mut self, applied_s: f64) {
-        let mut s = std::mem::take(&mut self.sums);
+    /// What a stretch of these sums tells, in which samples were taken for `applied_s` late.
+    fn learn(&mut self, mut s: Sums, applied_s: f64) {
         let count = s[(0, 0)];
         if count < SAMPLES_MIN {
             return;
@@ -180,15 +178,15 @@ impl Delays {
     fn end(&mut self, whole: bool) {
         let (heights_s, pose_s) = (self.heights_s, self.pose_s);
         for (i, known) in self.sensors.iter_mut().enumerate() {
+            let sums = std::mem::take(&mut known.sums);
             if whole {
-                known.end(if i == POSE { pose_s } else { heights_s });
+                known.learn(sums, if i == POSE { pose_s } else { heights_s });
             }
-            known.sums = Sums::zeros();
         }
         let told = |known: &&Known| known.information > 0.0;
-        let of: ArrayVec<f64, MAX_HEIGHTS> = self.sensors.iter().take(POSE).filter(told).map(Known::delay_s).collect();
+        let heights = self.sensors.iter().take(POSE).filter(told);
         let limited = |delay_s: f64| if delay_s.is_finite() { delay_s.clamp(-MOST_S, MOST_S) } else { 0.0 };
-        self.heights_s = limited(median(of.iter().copied()));
+        self.heights_s = limited(median(heights.map(Known::delay_s)));
         self.pose_s = limited(self.sensors.last().map_or(0.0, Known::delay_s));
         (self.slots, self.climb_mps, self.rise_m, self.by_thrust) = (0, 0.0, 0.0, 0.0);
     }

@@ -18,7 +18,6 @@
 
 use nalgebra::Vector3;
 use plumbline_proto::ids::SensorId;
-use plumbline_proto::time::FlightTime;
 use plumbline_proto::v1::SensorKind;
 
 use super::evidence::Heard;
@@ -267,12 +266,5 @@ impl Correction<'_> {
         if let Some(dx) = ScalarRow::pseudo(i, innovation, variance).correct(&mut self.lane.p, self.residuals) {
             self.lane.inject(&dx);
         }
-    }
-}
-
-impl Slot {
-    /// How long before the slot's end `time` was, s; less than nothing of what is known to be stamped too early.
-    pub fn age_s(&self, time: FlightTime) -> f64 {
-        self.end().seconds_since(time).clamp(-0.1, 0.5)
     }
 }

@@ -44,6 +44,16 @@ impl Slot {
     pub fn end(&self) -> FlightTime {
         FlightTime((self.number + 1) * SLOT_US)
     }
+
+    /// How long before its end `time` was, s: see [`age_s`].
+    pub fn age_s(&self, time: FlightTime) -> f64 {
+        age_s(self.end(), time)
+    }
+}
+
+/// How long before `end` `time` was, s; less than nothing of what is known to be stamped too early.
+pub(super) fn age_s(end: FlightTime, time: FlightTime) -> f64 {
+    end.seconds_since(time).clamp(-0.1, 0.5)
 }
 
 #[derive(Debug, Clone, Copy)]

@@ -13,6 +13,7 @@ use arrayvec::ArrayVec;
 use plumbline_proto::time::FlightTime;
 
 use super::SLOT_S;
+use super::slot::age_s;
 use crate::sensor::MAX_HEIGHTS;
 
 /// Healthy lasers differ by less, m: offsets, scale, slant, stamps and the motion within a scan.
@@ -97,7 +98,7 @@ impl Split {
         let (z_m, climb_mps) = self.coast.map_or(predicted, |coast| (coast.z_m, coast.climb_mps));
         for (laser, sample) in self.lasers.iter_mut().zip(samples) {
             if let Some((time, height_m)) = *sample {
-                let off_m = height_m - (z_m - climb_mps * end.seconds_since(time).clamp(-0.1, 0.5));
+                let off_m = height_m - (z_m - climb_mps * age_s(end, time));
                 laser.last = Some((time, off_m));
                 laser.samples = laser.samples.saturating_add(1);
                 laser.held &= off_m.abs() > BACK * GAP_M;
