@@ -241,15 +241,22 @@ await step(page, 'reports: an attack, more steps, landed', async () => {
   await attack.getByLabel(/^magnitude/).fill('0.5');
   await attack.getByLabel(/^start/).fill('1');
   await attack.getByLabel(/^duration/).fill('6');
-  await attack.getByRole('button', { name: 'Add' }).click();
-  await button('Schedule 1 attack').click();
-  // Until then the first of the list may be an attack of before, done.
-  for (const state of ['active', 'done']) {
-    await until(`the attack: ${state}`, async () => (await region('Attacks').getByRole('listitem').first().textContent()).includes(state), 30_000);
+  const phase = async (phases) => until(`the attack: ${phases}`, async () => phases.exec(await region('Attacks').getByRole('listitem').first().textContent())?.[0], 30_000);
+  // A vehicle aborts it when it hears nothing of its ground for half a second, as where the whole machine stands still for so long:
+  // whoever is at the page schedules it again.
+  const ends = [];
+  while (ends.at(-1) !== 'done') {
+    assert(ends.length < 3, `the attack: ${ends}`);
+    await attack.getByRole('button', { name: 'Add' }).click();
+    await button('Schedule 1 attack').click();
+    // Until then the first of the list may be an attack of before, done.
+    await phase(/active/);
+    ends.push(await phase(/done|aborted/));
   }
   await to(0.5);
   await to(0.8);
   await disarm();
+  return { ends };
 });
 
 const listed = async () => (await (await page.request.get(`${url}/api/v1/flights`)).json()).flights;
@@ -280,7 +287,7 @@ await step(page, 'the report says what happened, with figures', async () => {
   assert(/iris-1 .* flew for \d+:\d\d min with \d+ steps of altitude/.test(lead) && /height 2: bias \+0\.5 m/.test(lead), lead);
   const steps = await section('Steps').getByRole('row').allTextContents();
   assert(steps.length === first.steps.length + 2 && /mean ± σ.*\d ± \d/.test(steps.at(-1)), JSON.stringify(steps));
-  const [attack] = (await section('Attacks').getByRole('row').all()).slice(1);
+  const attack = (await section('Attacks').getByRole('row').all()).at(-1);
   const cells = await attack.getByRole('cell').allTextContents();
   assert(cells.length === 10 && number(cells[6]) > 0, JSON.stringify(cells));
   const ranked = await section('Estimators').getByRole('row').allTextContents();
