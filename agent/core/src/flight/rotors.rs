@@ -9,7 +9,8 @@
 //! For each rotor a CUSUM (Page 1954) of the log-likelihood ratio of a loss ℓ₀ against none, g ← max(0, g + ℓ₀ sᵀR⁻¹(b − r) −
 //! ½ ℓ₀² sᵀR⁻¹s) per 2T, that being how long r stays alike. Above its limit the loss is estimated from where the sum
 //! began, ℓ = Σ sᵀR⁻¹(b − r) / Σ sᵀR⁻¹s, and the rotor is isolated when its signature explains what is seen, better than that of any
-//! other, and the thrust misses what the torque says. From then on its e follows r, back to 1 where the fault ends.
+//! other, and the thrust misses what the torque says, or, on strings, which may take it up, the torque about z does. From then on its e
+//! follows r, back to 1 where the fault ends.
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
@@ -52,13 +53,17 @@ const GROWTH: f64 = 40.0;
 const ODDS: f64 = 5.0;
 /// So much may be left unexplained, of what is explained.
 const UNEXPLAINED: f64 = 0.5;
-/// The thrust misses at least so much of what the torque says, …
+/// The thrust misses at least so much of what the torque says, and what the torque about z says is no further from it, …
 const MISSING: f64 = 0.4;
 /// … and so many sigmas more: a push at one arm has its torque, and no less thrust.
 const MISSING_SIGMAS: f64 = 0.25;
 /// Strings push so as they become taut: there the thrust must have told the loss to so many sigmas, squared, which takes a while where it
 /// vibrates.
 const TOLD: f64 = 2.0;
+/// … or its torque about z, where strings take up the thrust that misses: to so many sigmas, squared, and as the rest of its torque, of which
+/// so much may be left unexplained.
+const TOLD_BY_YAW: f64 = 9.0;
+const UNEXPLAINED_BY_YAW: f64 = 0.05;
 /// Smallest loss that is told.
 const LEAST_LOSS: f64 = 0.04;
 /// The estimate of an isolated rotor follows with this time constant, s.
@@ -84,11 +89,12 @@ const SETTLED_S: f64 = 0.1;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 struct Evidence {
     sum: f64,
-    /// Σ sᵀR⁻¹s, Σ sᵀR⁻¹(b − r), Σ (b − r)ᵀR⁻¹(b − r), and the first two of the thrust alone.
+    /// Σ sᵀR⁻¹s, Σ sᵀR⁻¹(b − r), Σ (b − r)ᵀR⁻¹(b − r), and the first two of the thrust alone, and of the torque about z.
     ss: f64,
     sr: f64,
     rr: f64,
     thrust: (f64, f64),
+    yaw: (f64, f64),
     /// Of its signature since then, N.
     lagged_n: f64,
     /// How many 2T.
@@ -105,13 +111,19 @@ impl Evidence {
         if self.ss > 0.0 { self.sr / self.ss } else { 0.0 }
     }
 
-    /// Do torque and thrust both look like it?
-    fn fits(&self, strings: bool) -> bool {
-        let unexplained = self.rr - self.explained() - 4.0 * self.lasts;
-        let (ss, sr) = self.thrust;
-        let missing = ss > 0.0 && sr / ss > MISSING * self.loss() + MISSING_SIGMAS / ss.sqrt();
-        let told = !strings || ss * self.loss().powi(2) > TOLD;
-        self.loss() > LEAST_LOSS && unexplained < UNEXPLAINED * self.explained() && missing && told
+    /// Do torque and thrust both look like it, or on `strings`, which may take up what misses, and where that about z
+    /// is `calm`, all of the torque?
+    fn fits(&self, strings: bool, calm: bool) -> bool {
+        let (loss, explained) = (self.loss(), self.explained());
+        let unexplained = self.rr - explained - 4.0 * self.lasts;
+        let ((ss, sr), (zz, zr)) = (self.thrust, self.yaw);
+        let missing = ss > 0.0 && sr / ss > MISSING * loss + MISSING_SIGMAS / ss.sqrt();
+        let by_thrust = missing && (!strings || ss * loss.powi(2) > TOLD);
+        // Strings that lift more than what misses became taut by themselves.
+        let taken_up = sr > -MISSING * loss * ss && unexplained < UNEXPLAINED_BY_YAW * explained;
+        let turns = zz * loss.powi(2) > TOLD_BY_YAW && (zr - loss * zz).abs() < MISSING * loss * zz;
+        let by_yaw = strings && calm && taken_up && turns;
+        loss > LEAST_LOSS && unexplained < UNEXPLAINED * explained && (by_thrust || by_yaw)
     }
 }
 
@@ -320,6 +332,8 @@ impl RotorWatch {
             e.rr += part * r.norm_squared();
             e.thrust.0 += part * s.w * s.w;
             e.thrust.1 += part * s.w * r.w;
+            e.yaw.0 += part * s.z * s.z;
+            e.yaw.1 += part * s.z * r.z;
             e.lasts += part;
         }
     }
@@ -331,9 +345,10 @@ impl RotorWatch {
             let (a, b) = (a.1.explained(), b.1.explained());
             a.total_cmp(&b)
         })?;
+        let calm = self.variance.z <= SIGMA.z * SIGMA.z;
         let others = self.evidence.iter().enumerate().filter(|(j, _)| *j != i);
         let next = others.map(|(_, e)| e.explained()).fold(0.0, f64::max);
-        if best.explained() < next + 2.0 * ODDS || !best.fits(strings) {
+        if best.explained() < next + 2.0 * ODDS || !best.fits(strings, calm) {
             return None;
         }
         let loss = best.loss().min(self.effectiveness[i]);

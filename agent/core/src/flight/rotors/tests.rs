@@ -111,6 +111,29 @@ fn what_is_no_loss_is_not_taken_for_one() {
     }
 }
 
+/// GIVEN a rotor that loses a fifth WHEN something takes up the thrust that misses THEN on strings its torque about z tells it, and where there
+/// are none, or without that torque, it is somebody's push.
+#[test]
+fn a_loss_that_strings_take_up_is_told_by_its_torque_about_z() {
+    for rotor in 0..ROTORS {
+        let found = |strings: bool, yaws: bool| {
+            let mut hover = Hover::new(20 + rotor as u64);
+            hover.strings = strings;
+            hover.fly(5.0, [1.0; ROTORS], true);
+            let lost_n = 0.2 * hover.airframe.weight_n() / ROTORS as f64;
+            let column = hover.airframe.allocation().column(rotor).into_owned();
+            hover.force_n = lost_n;
+            hover.torque.z = if yaws { 0.0 } else { lost_n * column[3] };
+            let mut parts = [1.0; ROTORS];
+            parts[rotor] = 0.8;
+            hover.fly(2.0, parts, true)
+        };
+        let told = found(true, true);
+        assert!(told.is_some_and(|(after_s, found)| after_s < 0.5 && found == Found::Weak(rotor)), "{rotor}: {told:?}");
+        assert_eq!((found(false, true), found(true, false)), (None, None), "rotor {rotor}");
+    }
+}
+
 #[test]
 fn a_vehicle_that_is_held_is_not_judged_and_a_sensor_that_is_no_number_leaves_no_trace() {
     let mut hover = Hover::new(3);
