@@ -19,7 +19,7 @@ const TOO_LONG: Duration = Duration::from_secs(2);
 /// Sent at the end.
 const LAST: u64 = u64::MAX;
 
-/// A pair of pseudo terminals through which the time is sent, until it is asked what came of it.
+/// A pair of pseudo terminals through which it is sent when each word was due, until it is asked what came of it.
 #[derive(Debug)]
 pub struct Ports {
     stop: Arc<AtomicBool>,
@@ -42,7 +42,10 @@ impl Ports {
         let sender = {
             let stop = stop.clone();
             std::thread::spawn(move || {
-                while !stop.load(Ordering::Acquire) && near.write_all(&now_us().to_le_bytes()).is_ok() {
+                // When it is due, not when it is sent: a machine that stands still has nobody send meanwhile.
+                let mut due_us = now_us();
+                while !stop.load(Ordering::Acquire) && near.write_all(&due_us.to_le_bytes()).is_ok() {
+                    due_us = now_us() + EVERY.as_micros() as u64;
                     std::thread::sleep(EVERY);
                 }
                 // The last word ends what the other one reads.
