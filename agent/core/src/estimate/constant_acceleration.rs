@@ -251,7 +251,7 @@ impl Estimator for ConstantAccelerationEstimator {
             position_sigma_m: Some(sigma(0)),
             velocity_sigma_mps: Some(sigma(3)),
             horizontal_known: horizontal,
-            heights_off_sigma_m: 0.0,
+            heights_off_sigma_m: None,
             altitude_known: vertical,
         });
         e.world_from_body = world_from_body;

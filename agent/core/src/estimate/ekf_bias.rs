@@ -43,11 +43,12 @@ use self::align::{Aligned, Alignment};
 use self::covariance::{Covariance, ErrorState, Noise, ix};
 use self::heading::Headings;
 use self::history::History;
-use self::imus::{Imus, Inertial, Rest, Shaken};
+use self::imus::{Imus, Inertial, Rest};
 use self::vertical::{Barometers, Heights};
 use super::aiding::floor::Floor;
 use super::aiding::freshness::Freshness;
 use super::aiding::idle::{Idle, POSITION_SIGMA_M, UNKNOWN_YAW_SIGMA_RAD};
+use super::aiding::vibration::Vibration;
 use super::filter::consistency::{self, Nees};
 use super::yaw_mixture::YawMixture;
 use super::{Estimate, Estimator, EstimatorKind, Health, Motion};
@@ -92,7 +93,7 @@ pub struct EkfBias {
     now: Option<FlightTime>,
     /// The last consensus of the IMUs.
     inertial: Option<Inertial>,
-    shaken: Shaken,
+    vibration: Vibration,
     rest: Rest,
     /// Over the floor it stands on, m.
     standing_m: f64,
@@ -140,7 +141,7 @@ impl EkfBias {
             alignment: Alignment::new(),
             now: None,
             inertial: None,
-            shaken: Shaken::default(),
+            vibration: Vibration::default(),
             rest: Rest::default(),
             standing_m: 0.0,
             aided: Aided::default(),
@@ -275,12 +276,13 @@ impl EkfBias {
         };
         self.yaw_known = found.field_ut.is_some();
         let yaw = if self.yaw_known { align::YAW_SIGMA_FIELD_RAD } else { UNKNOWN_YAW_SIGMA_RAD };
+        let accel_bias = self.accel_bias_variance();
         self.p = Covariance::zeros();
         for i in 0..3 {
             self.p[(ix::POSITION + i, ix::POSITION + i)] = POSITION_SIGMA_M.powi(2);
             self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = velocity * velocity;
             self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = if i == 2 { yaw * yaw } else { tilt * tilt };
-            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = accel_bias;
             self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = gyro_bias * gyro_bias;
         }
         self.aligned = true;
@@ -293,6 +295,11 @@ impl EkfBias {
         self.history.clear();
     }
 
+    /// Of the bias that the mean of the accelerometers has, before more is known, (m/s²)².
+    fn accel_bias_variance(&self) -> f64 {
+        self.model.imus.accel.bias_prior.powi(2) / self.imus.used() as f64
+    }
+
     /// Propagates state and covariance over `dt_s`; `unseen_mps` is the velocity that a blow may have given unseen.
     fn propagate(&mut self, dt_s: f64, rate_radps: &Vector3<f64>, force_mps2: &Vector3<f64>, unseen_mps: f64) {
         let ImuModel { gyro, accel, gravity_mps2, .. } = &self.model.imus;
@@ -300,11 +307,11 @@ impl EkfBias {
         let density =
             |of: &TriaxialModel| Vector3::repeat(of.noise_density.powi(2) * share + of.common_noise_density.powi(2));
         let squares = self.state.kinematics.world_from_body.to_rotation_matrix().matrix().map(|x| x * x);
-        let [shaken, turned] = self.shaken.densities().map(|density| squares * density);
+        let [shaken, turned] = self.vibration.densities().map(|density| squares * density);
         let noise = Noise {
             accel: density(accel).add_scalar(unseen_mps * unseen_mps / dt_s) + shaken,
             gyro: density(gyro) + turned,
-            accel_bias: self.shaken.widens(accel.bias_walk.powi(2), accel.bias_prior.powi(2)),
+            accel_bias: self.vibration.widens(accel.bias_walk.powi(2), self.accel_bias_variance()),
             gyro_bias: (gyro.bias_walk.powi(2), gyro.bias_prior.powi(2)),
             barometer: self.model.barometers.walk.powi(2),
         };
@@ -368,7 +375,7 @@ impl EkfBias {
             position_sigma_m: Some(sigma(ix::POSITION)),
             velocity_sigma_mps: Some(sigma(ix::VELOCITY)),
             horizontal_known: self.aided.horizontal.within(now, HORIZONTAL_MEMORY_S),
-            heights_off_sigma_m: 0.0,
+            heights_off_sigma_m: None,
             altitude_known,
         });
         e.world_from_body = k.world_from_body;
@@ -379,7 +386,7 @@ impl EkfBias {
         }
         let mut attitude_sigma_rad = sigma(ix::ATTITUDE);
         // Nothing corrects what accelerometers in the plane rectify of vibration: tilt takes it for gravity.
-        let lasting_rad = self.shaken.rectified_mps2() / self.model.imus.gravity_mps2;
+        let lasting_rad = self.vibration.lasting_mps2() / self.model.imus.gravity_mps2;
         attitude_sigma_rad.iter_mut().take(2).for_each(|sigma| *sigma = sigma.hypot(lasting_rad));
         e.attitude_sigma_rad = Some(attitude_sigma_rad);
         self.estimate.health = self.health(now);
@@ -388,6 +395,7 @@ impl EkfBias {
     /// Starts again from `estimate`: at rest at the origin where that holds no motion, with the biases' prior. A yaw that
     /// nothing has measured stays so.
     pub fn reset_to(&mut self, estimate: &Estimate) {
+        let accel_bias = self.accel_bias_variance();
         let imus = &self.model.imus;
         let variance = |sigma: &Option<Vector3<f64>>, i: usize, default: f64| {
             let sigma = sigma.map(|s| s[i]).filter(|s| s.is_finite() && *s > 0.0).unwrap_or(default);
@@ -399,7 +407,7 @@ impl EkfBias {
             self.p[(ix::POSITION + i, ix::POSITION + i)] = variance(&motion.position_sigma_m, i, 0.5);
             self.p[(ix::VELOCITY + i, ix::VELOCITY + i)] = variance(&motion.velocity_sigma_mps, i, 0.5);
             self.p[(ix::ATTITUDE + i, ix::ATTITUDE + i)] = variance(&estimate.attitude_sigma_rad, i, 0.1);
-            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = imus.accel.bias_prior.powi(2);
+            self.p[(ix::ACCEL_BIAS + i, ix::ACCEL_BIAS + i)] = accel_bias;
             self.p[(ix::GYRO_BIAS + i, ix::GYRO_BIAS + i)] = imus.gyro.bias_prior.powi(2);
         }
         self.state.kinematics = estimate.kinematics();
@@ -474,7 +482,9 @@ impl Estimator for EkfBias {
         }
         if let Some(inertial) = current {
             if let Some(before) = &previous {
-                self.shaken.take(before, &inertial);
+                let since_s = inertial.time.seconds_since(before.time);
+                let [accel, gyro] = [inertial.accel_mps2 - before.accel_mps2, inertial.gyro_radps - before.gyro_radps];
+                self.vibration.take(since_s, &accel, &gyro);
             }
             self.inertial = Some(inertial);
             self.rest.take(dt_s, &inertial, &self.state.gyro_bias_radps, applied, &self.model.imus);

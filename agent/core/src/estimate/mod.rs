@@ -84,8 +84,9 @@ pub struct Motion {
     pub position_sigma_m: Option<Vector3<f64>>,
     /// One-sigma of the velocity, m/s.
     pub velocity_sigma_mps: Option<Vector3<f64>>,
-    /// One-sigma of what all heights together are off by, m: no innovation tells it. 0 where it is not known.
-    pub heights_off_sigma_m: f64,
+    /// One-sigma of what all heights together are off by, m; `None` for an estimator that does not learn what each of them is off by:
+    /// their innovations tell it then.
+    pub heights_off_sigma_m: Option<f64>,
     /// Is the horizontal position known (GNSS or motion capture lately)? If not, x and y are a prediction.
     pub horizontal_known: bool,
     /// Is the altitude known (lasers, barometer, motion capture or GNSS lately)? If not, z is a prediction.

@@ -33,6 +33,7 @@ use plumbline_proto::time::FlightTime;
 
 use super::aiding::freshness::Freshness;
 use super::aiding::idle::{Idle, UNKNOWN_YAW_SIGMA_RAD};
+use super::aiding::vibration::Vibration;
 use super::filter::consistency::{self, Nees};
 use super::filter::kalman::forget;
 use super::filter::measurement::{MAX_ROWS, Measurement, TwelveState};
@@ -100,6 +101,7 @@ pub struct TwelveStateEstimator<F> {
     now: Option<FlightTime>,
     started: bool,
     force: Option<(FlightTime, Vector3<f64>)>,
+    vibration: Vibration,
     rows: ArrayVec<Measurement, MAX_ROWS>,
     aided: Aided,
     mixture: YawMixture,
@@ -138,6 +140,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             now: None,
             started: false,
             force: None,
+            vibration: Vibration::default(),
             rows: ArrayVec::new(),
             aided: Aided::default(),
             mixture: YawMixture::new(),
@@ -222,7 +225,7 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
             position_sigma_m: Some(sigma(ix::X)),
             velocity_sigma_mps: Some(sigma(ix::VX)),
             horizontal_known: self.aided.axes[0].within(now, MEMORY_S) && self.aided.axes[1].within(now, MEMORY_S),
-            heights_off_sigma_m: 0.0,
+            heights_off_sigma_m: None,
             altitude_known: self.aided.axes[2].within(now, MEMORY_S),
         });
         e.world_from_body = from_roll_pitch_yaw(&part(ix::ROLL));
@@ -255,6 +258,9 @@ impl<F: TwelveState> Estimator for TwelveStateEstimator<F> {
         self.feed_mixture(received, fresh.map(|(_, force)| force));
         let wrench = self.propulsion.push(applied, received.battery_v, dt_s);
         let action = self.action(now, &wrench);
+        if let Some(((before, was), (time, is))) = self.force.zip(fresh) {
+            self.vibration.take(time.seconds_since(before), &(is - was), &Vector3::zeros());
+        }
         self.force = fresh.or(self.force);
         if self.started && dt_s > LONGEST_GAP_S {
             self.started = false;

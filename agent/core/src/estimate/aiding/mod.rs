@@ -4,6 +4,7 @@ pub mod floor;
 pub mod freshness;
 pub mod idle;
 pub mod lever_arm;
+pub mod vibration;
 
 use super::Channel;
 use crate::types::CAMERAS;

@@ -96,7 +96,7 @@ impl Lanes {
     pub(super) fn publish(&mut self, now: FlightTime) {
         let health = self.health(now);
         let state = *self.predictor.now();
-        let heights_off_sigma_m = self.judges.heights.mean_off_sigma_m(state.position_enu_m.z);
+        let heights_off_sigma_m = Some(self.judges.heights.mean_off_sigma_m(state.position_enu_m.z));
         let e = &mut self.estimate;
         e.time = now;
         e.health = health;

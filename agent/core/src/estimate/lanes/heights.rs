@@ -8,6 +8,7 @@ use arrayvec::ArrayVec;
 use plumbline_proto::time::FlightTime;
 
 use super::split::{GAP_M, Split};
+use crate::estimate::filter::innovations::mean_off_sigma_m;
 use crate::estimate::median;
 use crate::sensor::MAX_HEIGHTS;
 
@@ -46,8 +47,6 @@ const CALM: u32 = 10;
 pub(super) const REACH_M: f64 = 0.025;
 /// Those of the last moments, s.
 const RECENT_S: f64 = 0.3;
-/// What lasers are off by before more is known of them, m.
-const USUAL_M: f64 = 0.0035;
 /// Samples in a row that a laser reads further than the gap of `split.rs` from the altitude predicted before they are heard: a beam
 /// meets a string, a leg or a net for a scan or two. Fewer where another laser reads the same.
 const SPURIOUS: u32 = 3;
@@ -126,18 +125,10 @@ impl Heights {
         self.lasers.get(index).map_or(0.0, |laser| laser.offset_m + laser.scale * (z_m - PIVOT_M))
     }
 
-    /// One-sigma of what the mean of the lasers is off by at altitude `z_m`, m, were they off independently: from how far they
-    /// are apart, and as if two more were [`USUAL_M`] apart: three that agree by chance say little.
+    /// One-sigma of what the mean of the lasers is off by at altitude `z_m`, m ([`mean_off_sigma_m`]).
     pub fn mean_off_sigma_m(&self, z_m: f64) -> f64 {
-        let used = || self.lasers.iter().enumerate().filter(|(_, laser)| laser.seen >= KEPT && !laser.excluded);
-        let off = || used().map(|(i, _)| self.off_m(i, z_m));
-        let n = used().count() as f64;
-        if n < 2.0 {
-            return 0.0;
-        }
-        let mean = off().sum::<f64>() / n;
-        let apart = off().map(|off| (off - mean).powi(2)).sum::<f64>();
-        ((apart + 2.0 * USUAL_M * USUAL_M) / ((n - 1.0) * n)).sqrt()
+        let used = self.lasers.iter().enumerate().filter(|(_, laser)| laser.seen >= KEPT && !laser.excluded);
+        mean_off_sigma_m(used.map(|(i, _)| self.off_m(i, z_m)))
     }
 
     /// How much laser `index` counts, 0..1; an excluded one does not, nor one that steps, nor one whose last residual was not admitted or

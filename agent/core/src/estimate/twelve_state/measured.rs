@@ -90,7 +90,8 @@ impl<F: TwelveState> TwelveStateEstimator<F> {
         }
         let imus = self.aided.imus_seen.iter().filter(|seen| **seen).count().max(1) as f64;
         let model = &self.model.imus;
-        ANGLE_SIGMA_RAD.hypot(model.accel.bias_prior / (model.gravity_mps2 * imus.sqrt()))
+        let accel = (model.accel.bias_prior / imus.sqrt()).hypot(self.vibration.lasting_mps2());
+        ANGLE_SIGMA_RAD.hypot(accel / model.gravity_mps2)
     }
 
     /// Gyroscopes and attitude.
