@@ -270,4 +270,31 @@ mod tests {
             assert!((spurious[quantity].0 / told - 1.0).abs() < 0.1, "{spurious:?} {without:?}");
         }
     }
+
+    /// Altitude one-sigma told after 30 s of innovations of three lasers at 10 Hz, 0.01 m each in the filter's eyes.
+    fn told_m(innovation_m: fn(u32, u8) -> f64) -> f64 {
+        let mut innovations = Innovations::default();
+        let mut told_m = f64::NAN;
+        for k in 0..300 {
+            let mut estimate = Estimate { time: FlightTime(u64::from(k) * 100_000), ..Estimate::default() };
+            let sigma = Some(Vector3::repeat(0.01));
+            estimate.motion = Some(Motion { position_sigma_m: sigma, velocity_sigma_mps: sigma, ..Motion::default() });
+            for laser in 1..=3 {
+                let of = (SensorId::new(SensorKind::Height, laser), Channel::Height);
+                let residual = Residual::gated(of.0, of.1, innovation_m(k, laser), 0.01, 5.0);
+                estimate.residuals.try_push(residual).unwrap();
+            }
+            innovations.scale(&mut estimate);
+            told_m = estimate.motion.and_then(|m| m.position_sigma_m).map_or(f64::NAN, |sigma| sigma.z);
+        }
+        told_m
+    }
+
+    /// GIVEN lasers that repeat themselves, or that all say the same for seconds THEN no filter is certain of its altitude.
+    #[test]
+    fn what_repeats_itself_is_not_certain_and_what_lasts_is_no_noise() {
+        assert!(told_m(|_, _| 0.0) >= 0.003);
+        assert!(told_m(|k, _| if (k / 50).is_multiple_of(2) { 0.009 } else { -0.009 }) > 0.025);
+        assert!(told_m(|_, _| 0.04) > 0.04, "what all of them say that it is off by");
+    }
 }
